@@ -1,0 +1,5 @@
+"""How a joint target becomes a joint torque inside the physics step."""
+
+from arrive.actuation.motor import Motor, add_motors, motor_torque
+
+__all__ = ["Motor", "add_motors", "motor_torque"]

@@ -1,0 +1,78 @@
+"""PD tracking of a joint target by a motor whose torque falls with speed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+MotorKind = Literal["dc", "ideal"]
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A geared joint drive under PD control (paper, section on hardware deployment).
+
+    The torque asked for is stiffness * (target - q) - damping * w. The drive can give at most
+    min(effort_limit, stall_torque * (1 - w / no_load_speed)) in the positive direction, and the mirror image of it
+    in the negative one: an affine function of speed, cut at the effort limit.
+    """
+
+    stiffness: float
+    """Proportional gain [N m/rad]."""
+    damping: float
+    """Derivative gain [N m s/rad]."""
+    effort_limit: float
+    """Largest torque at any speed [N m]."""
+    stall_torque: float
+    """Torque at zero speed of the affine torque-speed line [N m]."""
+    no_load_speed: float
+    """Speed at which the affine line reaches zero torque [rad/s]."""
+
+
+def motor_torque(motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: MotorKind = "dc") -> np.ndarray:
+    """Torque by the explicit formula; what the simulated motor is tested against.
+
+    Beyond the no-load speed the limit changes sign: the back-EMF then brakes, as in a voltage-limited motor.
+
+    Args:
+        error_rad: joint target minus joint position [rad], any shape.
+        speed: joint velocity [rad/s], the same shape.
+
+    Returns:
+        Torque [N m], the same shape.
+    """
+    torque = motor.stiffness * error_rad - motor.damping * speed
+    if kind == "ideal":
+        return np.clip(torque, -motor.effort_limit, motor.effort_limit)
+    upper = np.minimum(motor.effort_limit, motor.stall_torque * (1.0 - speed / motor.no_load_speed))
+    lower = np.maximum(-motor.effort_limit, -motor.stall_torque * (1.0 + speed / motor.no_load_speed))
+    # The limits cross only far beyond the no-load speed; the effort limit then decides.
+    return np.clip(np.clip(torque, lower, upper), -motor.effort_limit, motor.effort_limit)
+
+
+def add_motors(spec: mujoco.MjSpec, joint_names: Sequence[str], motor: Motor, kind: MotorKind = "dc") -> None:
+    """Add one position-controlled actuator per joint, in order, to a robot's spec.
+
+    `dc` is MuJoCo's DC motor with a position input. At terminal voltage V it gives K / R * (V - K w), so limiting V to
+    stall_torque * R / K limits the torque affinely in speed. K is free (only the ratio counts); R follows from the
+    no-load speed V / K. `ideal` is PD with the effort limit alone.
+    """
+    for name in joint_names:
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        if kind == "dc":
+            voltage = motor.stall_torque
+            constant = voltage / motor.no_load_speed
+            resistance = constant * voltage / motor.stall_torque
+            actuator.set_to_dcmotor(
+                motorconst=[constant, constant],
+                resistance=resistance,
+                saturation=[motor.effort_limit, 0.0, 0.0],
+                controller=[motor.stiffness, 0.0, motor.damping, 0.0, 0.0, voltage],
+                ctrlspec=mujoco.mjtCtrlInput.mjINPUT_POS,
+            )
+        else:
+            actuator.set_to_position(kp=motor.stiffness, kv=motor.damping)
+            actuator.forcelimited = True
+            actuator.forcerange = [-motor.effort_limit, motor.effort_limit]

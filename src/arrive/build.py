@@ -1,0 +1,64 @@
+"""Puts an environment together from a configuration."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from arrive.config import Config
+from arrive.env import ArriveEnv
+from arrive.errors import ArriveError
+from arrive.physics.cpu import CpuPhysics
+from arrive.robots import get_robot
+from arrive.task.registry import get_task
+from arrive.terrain import Layout, get_family
+from arrive.terrain.pool import build_pool, level_values
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Which terrain the environments stand on, where it is not the training curriculum's."""
+
+    layout: Layout = "training"
+    values: tuple[tuple[float, ...], ...] | None = None
+    """Parameters of each family's levels; None for the curriculum's."""
+    seed_offset: int = 0
+    """Added to the configuration's seed for terrain, friction and payload."""
+    fixed_target: tuple[float, float] | None = None
+    """Horizontal position of every target [m]; None to draw them."""
+    assignment: tuple[Tensor, Tensor] | None = None
+    """Family and level of each environment, fixed; None for the curriculum."""
+
+
+Progress = Callable[[int, int], None]
+
+
+def build_env(
+    config: Config,
+    placement: Placement = Placement(),
+    threads: int = 0,
+    progress: Progress = lambda done, total: None,
+) -> ArriveEnv:
+    """Build tiles, worlds, physics, task and environment.
+
+    Args:
+        threads: physics threads; 0 takes one per CPU.
+        progress: told worlds compiled so far and their number.
+
+    Raises:
+        ArriveError: the configuration names something unknown or asks for nothing.
+    """
+    if config.num_envs < 1:
+        raise ArriveError(f"num_envs must be at least 1, not {config.num_envs}")
+    robot = get_robot(config.robot)
+    families = [get_family(name) for name in config.terrain.families]
+    if config.num_envs < len(families):
+        raise ArriveError(f"num_envs is {config.num_envs}, fewer than the {len(families)} terrain families")
+    values: Sequence[Sequence[float]] = placement.values or [level_values(f, config.terrain.levels) for f in families]
+    seed = config.seed + placement.seed_offset
+    pool = build_pool(config, robot, families, values, placement.layout, seed, progress)
+    physics = CpuPhysics(robot, pool.worlds, config.num_envs, config.physics.decimation, threads)
+    generator = torch.Generator().manual_seed(seed)
+    task = get_task(config.task.name)(config, pool.rasters, generator, placement.fixed_target)
+    return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)

@@ -1,0 +1,95 @@
+"""The command line: `arrive train | eval | list`."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from arrive.errors import ArriveError
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a policy on one or more terrains; it stops by itself and can be resumed."""
+
+    terrain: tyro.conf.Positional[str]
+    """Terrain family, several joined by commas, or `all`."""
+    preset: str = "robust"
+    """Named configuration, see `arrive list`."""
+    task: str | None = None
+    """Named task, see `arrive list`; the preset's own by default."""
+    minutes: float | None = None
+    """Training time since the run began; 40 unless iterations are given [min]."""
+    iterations: int | None = None
+    """Training iterations since the run began."""
+    num_envs: int | None = None
+    """Robots simulated side by side; the preset's own number by default."""
+    seed: int = 1
+    """Seed of networks, terrain and everything random."""
+    threads: int = 0
+    """CPU threads for physics and learning; 0 takes every CPU."""
+    resume: Path | None = None
+    """Run folder to continue exactly where it stands."""
+    start_from: Path | None = None
+    """Run folder whose networks the new run starts with."""
+    out: Path | None = None
+    """Folder of the run; one under runs/ by default."""
+    set: tuple[str, ...] = ()
+    """Changes to the configuration as PATH=VALUE, e.g. ppo.gamma=0.99 task.rewards.stall_cost=-2."""
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Measure how often a policy arrives, per terrain and level."""
+
+    policy: tyro.conf.Positional[Path]
+    """Run folder or policy file."""
+    terrain: str | None = None
+    """Terrain family, several joined by commas, or `all`; those it was trained on by default."""
+    level: int | None = None
+    """One level; all by default."""
+    episodes: int = 500
+    """Episodes per terrain and level."""
+    seed: int = 1
+    """Seed of terrain and episodes, apart from those of training."""
+    threads: int = 0
+    """CPU threads; 0 takes every CPU."""
+    json: Path | None = None
+    """File for the result as JSON."""
+    pictures: Path | None = None
+    """Folder for a picture strip per terrain and level, and a film of the first; beside the policy by default."""
+
+
+@dataclass(frozen=True)
+class List:
+    """Name the terrains, presets, robots and tasks."""
+
+    what: tyro.conf.Positional[str | None] = field(default=None)
+    """`terrains`, `presets`, `robots`, `tasks` or `rewards`; everything by default."""
+
+
+Command = (
+    Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[List, tyro.conf.subcommand("list")]
+)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a command; a problem the user can solve is one line on standard error and exit status 1."""
+    command = tyro.cli(Command, prog="arrive", description=__doc__, args=arguments)
+    # Imported here so that help and misspelt options answer at once.
+    from arrive import commands
+
+    run = {Train: commands.train, Eval: commands.evaluate, List: commands.list_names}[type(command)]
+    try:
+        run(command)
+    except ArriveError as error:
+        print(f"arrive: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""What each command does."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from arrive.build import build_env
+from arrive.config import Config, override, to_dict
+from arrive.errors import ArriveError, unknown_name
+from arrive.evaluation.arrival import Arrival, CellResult, cells_of
+from arrive.evaluation.arrival import evaluate as evaluate_policy
+from arrive.evaluation.pictures import GraphicsUnavailable, film, picture_strip
+from arrive.evaluation.policy import Policy, load_policy
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.curves import plot_curves
+from arrive.learning.display import TrainingDisplay
+from arrive.learning.logs import RunLog
+from arrive.learning.rundir import new_run_folder, read_config, write_config
+from arrive.learning.trainer import Trainer
+from arrive.presets import PRESETS, get_preset
+from arrive.robots import ROBOTS
+from arrive.task.registry import TASKS, get_task
+from arrive.task.rewards import CRASH_COST, REWARDS
+from arrive.terrain import FAMILIES, parse_families
+
+if TYPE_CHECKING:
+    from arrive.cli import Eval, List, Train
+
+DEFAULT_MINUTES = 40.0
+"""Training budget where none is given [min]."""
+
+
+def train(command: Train) -> None:
+    """Train a new run or continue one."""
+    threads = _use_threads(command.threads)
+    minutes, iterations = _budget(command)
+    config, folder = _resumed(command) if command.resume else _fresh(command)
+    with Progress(transient=True) as bar:
+        worlds = bar.add_task("building terrain", total=None)
+        env = build_env(config, threads=threads, progress=lambda i, n: bar.update(worlds, completed=i, total=n))
+    trainer = Trainer(config, env, folder)
+    log = RunLog(folder)
+    if command.resume:
+        trainer.load()
+        log.truncate_after(trainer.iteration)
+    elif command.start_from:
+        trainer.warm_start(command.start_from / CHECKPOINT_NAME)
+    title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
+    with TrainingDisplay(title, folder) as display:
+
+        def report(result) -> None:
+            log.write(result)
+            display.update(result)
+
+        trainer.train(minutes, iterations, report)
+    log.close()
+    if trainer.iteration:
+        print(f"curves: {plot_curves(folder)}")
+    print(f"run: {folder} ({trainer.iteration} iterations, {trainer.samples / 1e6:.1f} M samples)")
+
+
+def _use_threads(threads: int) -> int:
+    """Give torch as many threads as physics; MuJoCo's and torch's threads take turns."""
+    threads = threads or len(os.sched_getaffinity(0))
+    torch.set_num_threads(threads)
+    return threads
+
+
+def _budget(command: Train) -> tuple[float | None, int | None]:
+    for name, value in (("minutes", command.minutes), ("iterations", command.iterations)):
+        if value is not None and value <= 0:
+            raise ArriveError(f"--{name} must be positive, not {value}")
+    if command.minutes is None and command.iterations is None:
+        return DEFAULT_MINUTES, None
+    return command.minutes, command.iterations
+
+
+def _fresh(command: Train) -> tuple[Config, Path]:
+    config = get_preset(command.preset)
+    names = tuple(family.name for family in parse_families(command.terrain))
+    changes: dict = {"terrain": dataclasses.replace(config.terrain, families=names), "seed": command.seed}
+    if command.task is not None:
+        get_task(command.task)
+        changes["task"] = dataclasses.replace(config.task, name=command.task)
+    if command.num_envs is not None:
+        changes["num_envs"] = command.num_envs
+    config = override(dataclasses.replace(config, **changes), command.set)
+    if config.num_envs < 1:
+        raise ArriveError(f"num_envs must be at least 1, not {config.num_envs}")
+    folder = new_run_folder(config, command.out)
+    write_config(folder, config)
+    return config, folder
+
+
+def _resumed(command: Train) -> tuple[Config, Path]:
+    """The configuration of the run to continue; asking for another one at the same time is an error."""
+    folder = command.resume
+    config, _ = read_config(folder)
+    names = tuple(family.name for family in parse_families(command.terrain))
+    if names != config.terrain.families:
+        raise ArriveError(f"{folder} trains on {','.join(config.terrain.families)}, not {command.terrain}")
+    if command.set or command.num_envs or command.start_from or command.out:
+        raise ArriveError("a resumed run keeps its configuration: --resume goes without --set, --num-envs, --out")
+    return config, folder
+
+
+def evaluate(command: Eval) -> None:
+    """Measure a policy, print the table, and write JSON and pictures where asked."""
+    threads = _use_threads(command.threads)
+    policy = load_policy(command.policy)
+    families = parse_families(command.terrain or ",".join(policy.config.terrain.families))
+    cells = cells_of(policy.config, families, command.level)
+    with Progress(transient=True) as bar:
+        steps = bar.add_task(f"{len(cells)} x {command.episodes} episodes", total=None)
+        answer = evaluate_policy(
+            policy, cells, command.episodes, command.seed, threads, lambda i, n: bar.update(steps, completed=i, total=n)
+        )
+    _print_results(answer.results)
+    if command.json:
+        _write_json(command, policy, answer)
+    _write_pictures(command.pictures or policy.path.parent / "pictures", answer)
+
+
+def _print_results(results: list[CellResult]) -> None:
+    table = Table("terrain", "level", "parameter", "episodes", "arrived", "95 % interval", "failures")
+    for result in results:
+        low, high = result.interval
+        unit = result.cell.family.unit
+        table.add_row(
+            result.cell.family.name,
+            str(result.cell.level),
+            f"{result.cell.value:.3g} {unit}".strip() if unit else "",
+            str(result.episodes),
+            f"{result.success:.1%}",
+            f"{low:.1%} to {high:.1%}",
+            ", ".join(f"{cause} {count}" for cause, count in sorted(result.failures.items())),
+        )
+    Console().print(table)
+
+
+def _write_json(command: Eval, policy: Policy, answer: Arrival) -> None:
+    families: dict[str, dict] = {}
+    for result in answer.results:
+        family = result.cell.family
+        entry = families.setdefault(family.name, {"parameter": family.parameter, "unit": family.unit, "levels": []})
+        entry["levels"].append(
+            {
+                "level": result.cell.level,
+                "value": result.cell.value,
+                "episodes": result.episodes,
+                "success": result.success,
+                "interval": list(result.interval),
+                "median_distance_m": result.median_distance,
+                "failures": result.failures,
+            }
+        )
+    content = {
+        "families": families,
+        "policy": {"samples": policy.samples, "config": to_dict(policy.config)},
+        "protocol": {"name": "arrival", "episodes": command.episodes, "seed": command.seed},
+        "commit": policy.commit,
+    }
+    try:
+        command.json.parent.mkdir(parents=True, exist_ok=True)
+        command.json.write_text(json.dumps(content, indent=2) + "\n")
+    except OSError as error:
+        raise ArriveError(f"cannot write {command.json}: {error}") from error
+
+
+def _write_pictures(folder: Path, answer: Arrival) -> None:
+    """A strip per cell and a film of the first, or one line where no graphics library is present."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for episode in answer.episodes:
+            picture_strip(episode, folder / f"{episode.caption.replace(' ', '_')}.png")
+        film(answer.episodes[0], folder / f"{answer.episodes[0].caption.replace(' ', '_')}.mp4")
+    except GraphicsUnavailable as error:
+        print(error)
+    except OSError as error:
+        raise ArriveError(f"cannot write pictures to {folder}: {error}") from error
+    else:
+        print(f"pictures: {folder}")
+
+
+def list_names(command: List) -> None:
+    """Print what can be chosen by name."""
+    names = {
+        "terrains": {f.name: _describe(f) for f in FAMILIES.values()},
+        "presets": {name: _first_line(build) for name, build in PRESETS.items()},
+        "robots": {name: robot.description for name, robot in ROBOTS.items()},
+        "tasks": {name: _first_line(task) for name, task in TASKS.items()},
+        "rewards": {name: _first_line(term) for name, term in REWARDS.items()} | {CRASH_COST: "Paid once, at a crash."},
+    }
+    if command.what is not None and command.what not in names:
+        raise unknown_name("list", command.what, names)
+    for kind in [command.what] if command.what else names:
+        table = Table(title=kind, title_justify="left", show_header=False, box=None)
+        for name, description in names[kind].items():
+            table.add_row(name, description)
+        Console().print(table)
+
+
+def _describe(family) -> str:
+    if family.lowest == family.highest:
+        return family.description
+    return f"{family.description} ({family.parameter} {family.lowest:g} to {family.highest:g} {family.unit})"
+
+
+def _first_line(thing) -> str:
+    return (thing.__doc__ or "").strip().splitlines()[0]

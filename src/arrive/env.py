@@ -1,0 +1,339 @@
+"""The vectorised environment: one step is a short list of named phases."""
+
+from dataclasses import dataclass, field
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+from torch import Tensor
+
+from arrive.config import Config
+from arrive.errors import ArriveError, unknown_name
+from arrive.physics.engine import Physics, Readings
+from arrive.robots.robot import Robot
+from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
+from arrive.task.heights import HeightGrid, heading_points, look_up
+from arrive.task.observations import Observer
+from arrive.task.rewards import CRASH_COST
+from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
+from arrive.task.state import State
+from arrive.task.task import Outcome, Start, Task
+from arrive.terrain.pool import TerrainPool
+
+SPAWN_CLEARANCE = 0.06
+"""Robots start this much above standing height: the random start pose may stretch their legs [m]."""
+POLICY = "policy"
+"""Name of the observation group that actor and critic read."""
+
+
+@dataclass
+class Finished:
+    """Episodes that ended in one step; each tensor has one entry per ended episode."""
+
+    env_ids: Tensor
+    success: Tensor
+    counted: Tensor
+    """False for the shortened episodes with which a run begins, and for diverged simulations."""
+    levels: Tensor
+    """Level they were played on."""
+    distance: Tensor
+    """Distance to the target at the end [m]."""
+    failures: dict[str, Tensor]
+
+
+@dataclass
+class StepLog:
+    """What one step has to report."""
+
+    rewards: dict[str, Tensor] = field(default_factory=dict)
+    """Weighted reward of each term, (num_envs,)."""
+    diverged: int = 0
+    """Simulations that left the finite numbers and were reset."""
+    finished: Finished | None = None
+
+
+class ArriveEnv(VecEnv):
+    """Robots that must reach places by given times, each on a tile of its own."""
+
+    def __init__(
+        self,
+        config: Config,
+        robot: Robot,
+        pool: TerrainPool,
+        physics: Physics,
+        task: Task,
+        generator: torch.Generator,
+        assignment: tuple[Tensor, Tensor] | None = None,
+    ):
+        """Start every robot's first episode.
+
+        Args:
+            assignment: (num_envs,) family and (num_envs,) level of each robot, to stay there. Without it robots are
+                dealt to the families in equal parts, levels follow success, and the first episodes are shortened to
+                spread their ends.
+        """
+        self.config, self.cfg = config, config
+        self.robot, self.pool, self.physics, self.task = robot, pool, physics, task
+        self.num_envs, self.num_actions = physics.num_envs, len(robot.joint_names)
+        self.device = physics.device
+        self.control_dt = config.physics.control_dt
+        self.max_episode_length = round(config.task.episode_s / self.control_dt)
+        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+        self._generator = generator
+        self._learning = learning = assignment is None
+        self._terms = _weighted_terms(task, config.task.rewards)
+        self._grid = HeightGrid(config.observation).points.to(self.device)
+        self.observer = Observer(task.observation_terms(robot), config.observation.noise, self.device)
+        self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
+        dealt = torch.arange(self.num_envs, device=self.device) % len(pool.families)
+        self.family_of_env = dealt if assignment is None else assignment[0]
+        num_levels = torch.tensor(pool.num_levels, device=self.device)[self.family_of_env]
+        self.curriculum = LevelCurriculum(num_levels, config.terrain.start_level, generator)
+        if assignment is not None:
+            self.curriculum.levels = assignment[1]
+        self.exploration = ExplorationSwitch(config.task)
+        self.log = StepLog()
+        self._allocate()
+        self._reset(torch.arange(self.num_envs, device=self.device), first=learning)
+        self._read(advance=False)
+
+    def _allocate(self) -> None:
+        n, joints, feet = self.num_envs, self.num_actions, len(self.robot.foot_sites)
+        zeros = lambda *shape: torch.zeros(*shape, device=self.device)  # noqa: E731
+        self._buffers = {
+            "action": zeros(n, joints),
+            "previous_action": zeros(n, joints),
+            "joint_vel": zeros(n, joints),
+            "foot_vel": zeros(n, feet, 3),
+            "fresh": torch.ones(n, dtype=torch.bool, device=self.device),
+            "shortened": torch.zeros(n, dtype=torch.bool, device=self.device),
+            "tile": torch.zeros(n, dtype=torch.long, device=self.device),
+        }
+
+    @property
+    def tile_of_env(self) -> Tensor:
+        """(num_envs,) index into the pool's tiles of the tile each robot stands on."""
+        return self._buffers["tile"]
+
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
+        """Advance every robot by one policy step; robots whose episode ended start the next one.
+
+        Args:
+            actions: (num_envs, joints) joint targets relative to the default pose, in units of the action scale.
+
+        Returns:
+            observations after the step (of the next episode where one ended), rewards (num_envs,), dones (num_envs,)
+            and rsl_rl's extras.
+        """
+        self._act(actions)
+        self._simulate()
+        state = self._read(advance=True)
+        outcome, time_out = self._terminate(state)
+        rewards = self._reward(state)
+        self._record(outcome)
+        self._restart()
+        self._push()
+        return self.get_observations(), rewards, self._ended.long(), self._extras(time_out)
+
+    def get_observations(self) -> TensorDict:
+        """The current observations, with fresh noise."""
+        state = self.state
+        if self._stale:
+            state = self._read(advance=False)
+        observation = self.observer.observe(state, self.task.command, self._generator)
+        return TensorDict({POLICY: observation}, batch_size=[self.num_envs], device=self.device)
+
+    # The phases of a step, in order.
+
+    def _act(self, actions: Tensor) -> None:
+        self._buffers["previous_action"].copy_(self._buffers["action"])
+        self._buffers["action"].copy_(actions)
+
+    def _simulate(self) -> None:
+        targets = self._default_joint_pos + self.robot.action_scale * self._buffers["action"]
+        self.physics.step(targets)
+        self.episode_length_buf += 1
+
+    def _read(self, advance: bool) -> State:
+        """Take the robots' state from physics; `advance` also differentiates velocities over the step."""
+        readings = self.physics.read()
+        self._finite = readings.finite
+        if not bool(readings.finite.all()):
+            readings = _silence(readings)
+        self.state = self._state(readings)
+        if advance:
+            self._buffers["joint_vel"].copy_(readings.joint_vel)
+            self._buffers["foot_vel"].copy_(readings.foot_vel_w)
+            self._buffers["fresh"].zero_()
+        self._stale = False
+        return self.state
+
+    def _state(self, readings: Readings) -> State:
+        buffers, tiles = self._buffers, self._buffers["tile"]
+        quat, moving = readings.base_quat_w, (~buffers["fresh"]).float()
+        down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
+        points = heading_points(self._grid, readings.base_pos_w, yaw_of(quat))
+        return State(
+            base_pos_w=readings.base_pos_w,
+            base_quat_w=quat,
+            base_lin_vel_w=readings.base_lin_vel_w,
+            base_lin_vel_b=rotate_inverse(quat, readings.base_lin_vel_w),
+            base_ang_vel_b=readings.base_ang_vel_b,
+            gravity_b=rotate_inverse(quat, down),
+            joint_pos=readings.joint_pos,
+            joint_vel=readings.joint_vel,
+            joint_acc=(readings.joint_vel - buffers["joint_vel"]) / self.control_dt,
+            joint_torque=readings.joint_torque,
+            foot_acc_w=(readings.foot_vel_w - buffers["foot_vel"]) * (moving / self.control_dt)[:, None, None],
+            action=buffers["action"],
+            previous_action=buffers["previous_action"],
+            crash_contacts=readings.crash_contacts,
+            collision_contacts=readings.collision_contacts,
+            foot_contacts=readings.foot_contacts,
+            heights_w=look_up(self.pool.rasters.heights, tiles, points),
+            fall_height=self.pool.rasters.fall_height[tiles],
+        )
+
+    def _terminate(self, state: State) -> tuple[Outcome, Tensor]:
+        time_out = self.task.advance(self.control_dt)
+        fell = state.base_pos_w[:, 2] < state.fall_height
+        crashed = (state.crash_contacts > 0) | ~self._finite
+        self._failed = crashed | fell
+        self._ended = time_out | self._failed
+        outcome = self.task.judge(state, crashed, fell)
+        return outcome, time_out & ~self._failed
+
+    def _reward(self, state: State) -> Tensor:
+        command, dt = self.task.command, self.control_dt
+        terms: dict[str, Tensor] = {}
+        for name, (function, weight) in self._terms.items():
+            factor = self.exploration.factor if name == "exploration" else 1.0
+            terms[name] = function(state, command, self.config.task) * (weight * factor * dt)
+        if CRASH_COST in self.config.task.rewards:
+            terms[CRASH_COST] = self._failed * self.config.task.rewards[CRASH_COST]
+        if not bool(self._finite.all()):
+            terms = {name: torch.where(self._finite, value, 0.0) for name, value in terms.items()}
+        self.exploration.record(state, command, self._finite & ~self._buffers["shortened"])
+        self.log = StepLog(rewards=terms, diverged=int((~self._finite).sum()))
+        return torch.stack(list(terms.values())).sum(0)
+
+    def _record(self, outcome: Outcome) -> None:
+        ids = self._ended.nonzero().squeeze(-1)
+        if not len(ids):
+            return
+        counted = self._finite[ids] & ~self._buffers["shortened"][ids]
+        self.log.finished = Finished(
+            env_ids=ids,
+            success=outcome.success[ids],
+            counted=counted,
+            levels=self.curriculum.levels[ids],
+            distance=(self.task.command.target_w - self.state.base_pos_w).norm(dim=-1)[ids],
+            failures={cause: mask[ids] for cause, mask in outcome.failures.items()},
+        )
+        if self._learning:
+            fair = self._ended & self._finite & ~self._buffers["shortened"]
+            self.curriculum.update(fair, outcome.promote, outcome.demote)
+
+    def _restart(self) -> None:
+        ids = self._ended.nonzero().squeeze(-1)
+        if len(ids):
+            self._reset(ids, first=False)
+
+    def _reset(self, ids: Tensor, first: bool) -> None:
+        worlds = self._choose_worlds(ids)
+        self.physics.place(ids, worlds)
+        self._buffers["tile"][ids] = self.pool.tile_of_world.to(self.device)[worlds]
+        qpos, qvel = self._start_states(len(ids))
+        self.physics.reset(ids, qpos, qvel)
+        for name in ("action", "previous_action", "foot_vel"):
+            self._buffers[name][ids] = 0.0
+        self._buffers["joint_vel"][ids] = qvel[:, 6:].float()
+        self._buffers["fresh"][ids] = True
+        self._buffers["shortened"][ids] = first
+        self.episode_length_buf[ids] = 0
+        self.task.new_command(Start(ids, qpos[:, :3].float(), self._buffers["tile"][ids]), first)
+        self._stale = True
+
+    def _choose_worlds(self, ids: Tensor) -> Tensor:
+        variant = (self._uniform(len(ids)) * self.config.terrain.variants).long()
+        return self.pool.world_index.to(self.device)[self.family_of_env[ids], self.curriculum.levels[ids], variant]
+
+    def _start_states(self, n: int) -> tuple[Tensor, Tensor]:
+        """Random poses and velocities around standing at the tile's origin, in MuJoCo's order, float64."""
+        config = self.config.randomisation
+        signed = lambda *shape: 2.0 * self._uniform(*shape) - 1.0  # noqa: E731
+        position = torch.zeros(n, 3, device=self.device)
+        position[:, :2] = config.start_offset * signed(n, 2)
+        position[:, 2] = self.robot.standing_height + SPAWN_CLEARANCE
+        quat = quat_of_yaw(config.start_yaw_rad * signed(n))
+        joints = self._default_joint_pos * (1.0 + config.start_joint_scale * signed(n, self.num_actions))
+        velocity = torch.zeros(n, 6 + self.num_actions, device=self.device)
+        velocity[:, :6] = config.start_speed * signed(n, 6)
+        return torch.cat([position, quat, joints], dim=-1).double(), velocity.double()
+
+    def _push(self) -> None:
+        """Shove robots at random moments, `push_interval_s` apart on average."""
+        config = self.config.randomisation
+        if config.push_speed <= 0.0:
+            return
+        pushed = self._uniform(self.num_envs) < self.control_dt / config.push_interval_s
+        ids = (pushed & ~self._buffers["fresh"]).nonzero().squeeze(-1)
+        if len(ids):
+            velocity = torch.zeros(len(ids), 3, dtype=torch.double, device=self.device)
+            velocity[:, :2] = config.push_speed * (2.0 * self._uniform(len(ids), 2) - 1.0)
+            self.physics.push(ids, velocity)
+            self._stale = True
+
+    def _extras(self, time_out: Tensor) -> dict:
+        return {"time_outs": time_out.float()} if self.config.task.bootstrap_timeouts else {}
+
+    def _uniform(self, *shape: int) -> Tensor:
+        return torch.rand(*shape, generator=self._generator, device=self.device)
+
+    # Exact continuation.
+
+    def state_dict(self) -> dict:
+        """Everything that decides the future of this environment."""
+        return {
+            "physics": self.physics.state_dict(),
+            "task": self.task.state_dict(),
+            "buffers": {name: value.clone() for name, value in self._buffers.items()},
+            "levels": self.curriculum.levels.clone(),
+            "exploration": self.exploration.state_dict(),
+            "episode_length": self.episode_length_buf.clone(),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict) -> None:
+        """Go on exactly from a `state_dict` of an environment of the same configuration."""
+        self.physics.load_state_dict(state["physics"])
+        self.task.load_state_dict(state["task"])
+        for name, value in self._buffers.items():
+            value.copy_(state["buffers"][name])
+        self.curriculum.levels.copy_(state["levels"])
+        self.exploration.load_state_dict(state["exploration"])
+        self.episode_length_buf.copy_(state["episode_length"])
+        self._generator.set_state(state["generator"])
+        self._read(advance=False)
+
+
+def _weighted_terms(task: Task, weights: dict[str, float]) -> dict:
+    """Reward terms with a weight other than zero; a weight without a term is an error."""
+    for name in weights:
+        if name not in task.rewards and name != CRASH_COST:
+            raise unknown_name("reward", name, [*task.rewards, CRASH_COST])
+    terms = {name: (task.rewards[name], weight) for name, weight in weights.items() if weight and name != CRASH_COST}
+    if not terms:
+        raise ArriveError("task.rewards has no reward with a weight other than zero")
+    return terms
+
+
+def _silence(readings: Readings) -> Readings:
+    """Readings with diverged robots' values replaced by zeros, so that they cannot spoil sums over all robots."""
+    values = {}
+    for name, value in vars(readings).items():
+        mask = readings.finite.view(-1, *[1] * (value.ndim - 1))
+        values[name] = value if name == "finite" else torch.where(mask, value, 0.0)
+    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=readings.finite.device)
+    values["base_quat_w"] = torch.where(readings.finite.unsqueeze(-1), values["base_quat_w"], upright)
+    return Readings(**values)

@@ -1,0 +1,165 @@
+"""How often a policy arrives: fixed terrain, one episode per robot, no exploration noise."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from arrive.build import Placement, build_env
+from arrive.config import Config
+from arrive.env import ArriveEnv
+from arrive.errors import ArriveError
+from arrive.evaluation.pictures import Episode
+from arrive.evaluation.playing import Played, Progress, episode, play
+from arrive.evaluation.policy import Policy
+from arrive.evaluation.wilson import wilson_interval
+from arrive.terrain import Family
+from arrive.terrain.pool import EVALUATION_SEED_OFFSET, level_values
+
+MAX_ENVS = 2000
+"""Robots simulated at a time."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One family at one level."""
+
+    family: Family
+    level: int
+    value: float
+    """The terrain's parameter."""
+
+    @property
+    def caption(self) -> str:
+        """The family with its parameter, for people."""
+        varies = self.family.lowest != self.family.highest
+        return f"{self.family.name} {self.value:.2f} {self.family.unit}" if varies else self.family.name
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """How the episodes on one cell went."""
+
+    cell: Cell
+    episodes: int
+    arrived: int
+    median_distance: float
+    """Median distance to the target at the end [m]."""
+    failures: dict[str, int] = field(default_factory=dict)
+    """Episodes per cause of failure."""
+
+    @property
+    def success(self) -> float:
+        """Share of the episodes that arrived."""
+        return self.arrived / self.episodes
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % Wilson interval of the success."""
+        return wilson_interval(self.arrived, self.episodes)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """The evaluation's answer."""
+
+    results: list[CellResult]
+    episodes: list[Episode]
+    """One recorded episode per cell, for pictures."""
+
+
+def cells_of(config: Config, families: Sequence[Family], level: int | None) -> list[Cell]:
+    """The families' cells at one level, or at all for None.
+
+    Raises:
+        ArriveError: the level is out of range.
+    """
+    cells = []
+    for family in families:
+        values = level_values(family, config.terrain.levels)
+        if level is not None and not 0 <= level < len(values):
+            raise ArriveError(f"level {level} of {family.name} is out of range: levels are 0 to {len(values) - 1}")
+        chosen = range(len(values)) if level is None else [level]
+        cells += [Cell(family, i, values[i]) for i in chosen]
+    return cells
+
+
+def evaluate(
+    policy: Policy,
+    cells: Sequence[Cell],
+    episodes: int,
+    seed: int,
+    threads: int = 0,
+    progress: Progress = lambda done, total: None,
+) -> Arrival:
+    """Measure the arrival rate on terrain that the policy was not trained on.
+
+    Targets, noise, friction, payload and pushes are those of its training; every episode has the full length.
+
+    Args:
+        episodes: per cell.
+        progress: told policy steps done so far and their number.
+
+    Raises:
+        ArriveError: nothing to measure, or a policy of another robot or observation.
+    """
+    if episodes < 1:
+        raise ArriveError(f"episodes must be at least 1, not {episodes}")
+    cell_of_episode = torch.arange(len(cells)).repeat_interleave(episodes)
+    parts = cell_of_episode.split(MAX_ENVS)
+    played: list[Played] = []
+    pictures: dict[int, Episode] = {}
+    for index, part in enumerate(parts):
+        env = _environment(policy.config, cells, part, seed + index, threads)
+        policy.check(env)
+        watched = _one_per_cell(part, pictures)
+        played.append(play(env, policy, watched, lambda i, n, index=index: progress(index * n + i, len(parts) * n)))
+        for column, env_id in enumerate(watched.tolist()):
+            cell = int(part[env_id])
+            pictures[cell] = episode(env, played[-1], column, cells[cell].caption)
+    return Arrival(_tabulate(cells, cell_of_episode, played), list(pictures.values()))
+
+
+def _environment(config: Config, cells: Sequence[Cell], part: Tensor, seed: int, threads: int) -> ArriveEnv:
+    """Robots that stay on the cells they are dealt."""
+    present = sorted(set(part.tolist()))
+    families = list(dict.fromkeys(cells[i].family.name for i in present))
+    values = {name: [cells[i].value for i in present if cells[i].family.name == name] for name in families}
+    family = torch.tensor([families.index(cells[i].family.name) for i in part.tolist()])
+    level = torch.tensor([values[cells[i].family.name].index(cells[i].value) for i in part.tolist()])
+    config = replace(
+        config,
+        num_envs=len(part),
+        seed=seed,
+        terrain=replace(config.terrain, families=tuple(families)),
+        task=replace(config.task, episode_min_s=config.task.episode_s),
+    )
+    placement = Placement(
+        values=tuple(tuple(values[name]) for name in families),
+        seed_offset=EVALUATION_SEED_OFFSET,
+        assignment=(family, level),
+    )
+    return build_env(config, placement, threads)
+
+
+def _one_per_cell(part: Tensor, known: dict[int, Episode]) -> Tensor:
+    """The first robot of every cell that has no picture yet."""
+    cells, first = np.unique(part.numpy(), return_index=True)
+    return torch.tensor([i for cell, i in zip(cells.tolist(), first.tolist(), strict=True) if cell not in known])
+
+
+def _tabulate(cells: Sequence[Cell], cell_of_episode: Tensor, played: Sequence[Played]) -> list[CellResult]:
+    success = torch.cat([part.success for part in played])
+    distance = torch.cat([part.distance for part in played])
+    cause = np.array([name for part in played for name in part.cause])
+    results = []
+    for index, cell in enumerate(cells):
+        mine = cell_of_episode == index
+        failures = Counter(name for name in cause[mine.numpy()].tolist() if name)
+        results.append(
+            CellResult(cell, int(mine.sum()), int(success[mine].sum()), float(distance[mine].median()), dict(failures))
+        )
+    return results

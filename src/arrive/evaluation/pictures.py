@@ -1,0 +1,312 @@
+"""Pictures and films of an episode, drawn offscreen by MuJoCo's renderer."""
+
+import copy
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import imageio.v2 as imageio
+import mujoco
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from arrive.errors import ArriveError
+
+FRAME_SIZE = (400, 320)
+"""Width and height of one frame of a strip [pixels]."""
+FILM_SIZE = (768, 432)
+TARGET_RADIUS = 0.5
+"""The disc around the target: closer than this counts as arrived [m]."""
+DOT_SPACING = 0.1
+"""Distance between the dots of the path walked [m]."""
+MARGIN = 0.7
+"""Free space kept around the path and the target [m]."""
+SKY = (0.80, 0.87, 0.94)
+TARGET_COLOR = (0.10, 0.75, 0.25)
+PATH_COLOR = (0.95, 0.45, 0.05)
+_PROBE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 32, 32) as renderer:
+    renderer.update_scene(data)
+    assert renderer.render().any()
+"""
+
+
+class GraphicsUnavailable(ArriveError):
+    """No library on this machine can draw without a screen; everything but pictures works."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "no pictures: no offscreen graphics library works here; install the Debian package libosmesa6 "
+            "(software), or libegl1 and libopengl0 (a graphics driver), and the Python extra mujoco-core[rendering]"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What a robot did in one episode, ready to be drawn; the model's first joint is the robot's free joint."""
+
+    model: mujoco.MjModel
+    qpos: np.ndarray
+    """(steps, nq) positions after each policy step, the first at time 0 [m, rad, quaternions]."""
+    target_w: tuple[float, float, float]
+    """The place to reach [m]."""
+    control_dt: float
+    """Time between two rows of `qpos` [s]."""
+    outcome: str
+    """How the episode ended, such as "arrived"."""
+    caption: str
+
+    @cached_property
+    def ground_path_w(self) -> np.ndarray:
+        """(steps + 1, 3) the ground below the base at every step and, last, below the target [m]."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.qpos[0]
+        data.qpos[2] += 1000.0  # the robot itself must not stop the rays
+        mujoco.mj_kinematics(self.model, data)
+        points = np.vstack([self.qpos[:, :3], self.target_w]).astype(float)
+        heights = [_ground_height(self.model, data, point) for point in points]
+        return np.column_stack([points[:, :2], heights])
+
+    def index_at(self, time_s: float) -> int:
+        """The row of `qpos` nearest to a time [s]."""
+        return min(round(time_s / self.control_dt), len(self.qpos) - 1)
+
+
+@lru_cache(maxsize=1)
+def graphics_backend() -> str:
+    """The value of MUJOCO_GL that draws offscreen here: the one that is set, else EGL, else OSMesa.
+
+    Each candidate draws a sphere in a process of its own, because a broken driver may end the process.
+
+    Raises:
+        GraphicsUnavailable: none of them works.
+    """
+    fallback = ("egl", "osmesa") if sys.platform == "linux" else ("",)
+    chosen = os.environ.get("MUJOCO_GL")
+    for backend in (chosen,) if chosen else fallback:
+        environment = os.environ | {"MUJOCO_GL": backend}
+        try:
+            done = subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, timeout=60)
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+        if done.returncode == 0:
+            return backend
+    raise GraphicsUnavailable
+
+
+@contextmanager
+def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
+    """A renderer of pictures of `width` x `height` pixels, closed at the end; widens the model's offscreen buffer.
+
+    Raises:
+        GraphicsUnavailable: this machine cannot draw.
+    """
+    os.environ["MUJOCO_GL"] = graphics_backend()
+    # MuJoCo chose its graphics library when it was first imported, before MUJOCO_GL was known.
+    importlib.reload(mujoco.rendering.classic.gl_context)
+    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    try:
+        renderer = mujoco.Renderer(model, height, width)
+    except (ImportError, RuntimeError, mujoco.FatalError) as error:
+        raise GraphicsUnavailable from error
+    with renderer:
+        yield renderer
+
+
+def picture_strip(episode: Episode, path: Path, frames: int = 6) -> None:
+    """Write a PNG of evenly spaced moments side by side, with the time under each.
+
+    Raises:
+        GraphicsUnavailable: this machine cannot draw.
+    """
+    width, height = FRAME_SIZE
+    top, bottom, gap = 34, 28, 4
+    strip = Image.new("RGB", (frames * (width + gap) - gap, top + height + bottom), "white")
+    draw = ImageDraw.Draw(strip)
+    draw.text((8, 7), f"{episode.caption}: {episode.outcome}", "black", ImageFont.load_default(18))
+    steps = np.linspace(0, len(episode.qpos) - 1, frames).round().astype(int)
+    with _stage(episode, *FRAME_SIZE) as stage:
+        for place, step in enumerate(steps):
+            left = place * (width + gap)
+            strip.paste(Image.fromarray(stage.draw(step)), (left, top))
+            stamp = f"{step * episode.control_dt:.1f} s"
+            middle = (left + width // 2, top + height + bottom // 2)
+            draw.text(middle, stamp, "black", ImageFont.load_default(16), anchor="mm")
+    partial = path.with_name(f"{path.name}.partial")
+    strip.save(partial, format="PNG")
+    os.replace(partial, path)
+
+
+def film(episode: Episode, path: Path, fps: int = 25) -> None:
+    """Write an MP4 (H.264) of the episode in real time.
+
+    Raises:
+        GraphicsUnavailable: this machine cannot draw.
+    """
+    duration_s = (len(episode.qpos) - 1) * episode.control_dt
+    partial = path.with_name(f"{path.stem}.partial.mp4")
+    font = ImageFont.load_default(18)
+    with _stage(episode, *FILM_SIZE) as stage:
+        options = {"fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 2}
+        options["output_params"] = ["-preset", "veryfast"]
+        with imageio.get_writer(partial, format="FFMPEG", **options) as writer:
+            for frame in range(int(duration_s * fps) + 1):
+                image = Image.fromarray(stage.draw(episode.index_at(frame / fps)))
+                ended = frame == int(duration_s * fps)
+                label = f"{episode.caption}: {episode.outcome}" if ended else episode.caption
+                ImageDraw.Draw(image).text((12, 10), f"{label}   {frame / fps:.1f} s", "black", font)
+                writer.append_data(np.asarray(image))
+    os.replace(partial, path)
+
+
+@contextmanager
+def _stage(episode: Episode, width: int, height: int) -> Iterator["_Stage"]:
+    model = copy.copy(episode.model)
+    _set_look(model, episode)
+    with open_renderer(model, width, height) as renderer:
+        yield _Stage(episode, model, renderer)
+
+
+class _Stage:
+    """Draws single moments of an episode, with its light, camera, target and path."""
+
+    def __init__(self, episode: Episode, model: mujoco.MjModel, renderer: mujoco.Renderer):
+        self._episode, self._model, self._renderer = episode, model, renderer
+        self._data = mujoco.MjData(model)
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[:] = (1, 0, 1, 0, 0, 0)
+        if not (model.geom_group == 2).any():
+            self._options.geomgroup[3] = 1
+        self._aspect = renderer.width / renderer.height
+        steps = np.linalg.norm(np.diff(episode.qpos[:, :2], axis=0), axis=1)
+        self._walked = np.concatenate([[0.0], np.cumsum(steps)])
+
+    def draw(self, step: int) -> np.ndarray:
+        """(height, width, 3) the picture at a row of `qpos`, 8 bits per colour."""
+        self._data.qpos[:] = self._episode.qpos[step]
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        camera = _camera(self._episode, step, self._aspect, self._model.vis.global_.fovy)
+        self._renderer.update_scene(self._data, camera, self._options)
+        self._mark_target()
+        self._mark_path(step)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
+        _add_sun(self._renderer.scene)
+        _add_sky(self._renderer.scene, camera)
+        return self._renderer.render()
+
+    def _mark_target(self) -> None:
+        ground = self._episode.ground_path_w[-1] + np.array([0.0, 0.0, 0.04])
+        scene, target = self._renderer.scene, np.asarray(self._episode.target_w)
+        disc, color = (TARGET_RADIUS, 0.02, 0), (*TARGET_COLOR, 0.25)
+        _add_geom(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, disc, ground, color, emission=0.4)
+        _add_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, (0.1, 0, 0), target, (*TARGET_COLOR, 0.6))
+
+    def _mark_path(self, step: int) -> None:
+        marks = np.arange(0.0, self._walked[step], DOT_SPACING)
+        for place in np.searchsorted(self._walked, marks):
+            point = self._episode.ground_path_w[place] + np.array([0.0, 0.0, 0.02])
+            _add_geom(self._renderer.scene, mujoco.mjtGeom.mjGEOM_SPHERE, (0.022, 0, 0), point, (*PATH_COLOR, 1.0))
+
+
+def _set_look(model: mujoco.MjModel, episode: Episode) -> None:
+    """Soft light, haze towards the sky, and clipping planes for a scene of a few metres."""
+    model.vis.headlight.active = 1
+    model.vis.headlight.ambient[:] = 0.45
+    model.vis.headlight.diffuse[:] = 0.25
+    model.vis.headlight.specular[:] = 0.0
+    model.vis.rgba.fog[:] = (*SKY, 1.0)
+    model.vis.quality.shadowsize = 1024
+    model.vis.quality.offsamples = 4
+    model.stat.extent = 1.0  # makes the lengths below metres
+    reach = float(np.ptp(np.vstack([episode.qpos[:, :3], episode.target_w]), axis=0).max()) + 2 * MARGIN
+    model.vis.map.znear, model.vis.map.zfar = 0.05, 100.0
+    model.vis.map.fogstart, model.vis.map.fogend = 3 * reach, 8 * reach + 10
+    model.vis.map.shadowclip = reach
+
+
+def _camera(episode: Episode, step: int, aspect: float, fovy_deg: float) -> mujoco.MjvCamera:
+    """Three-quarter view from behind the start that follows the robot a little and keeps path and target in view."""
+    base, target = episode.qpos[:, :3], np.asarray(episode.target_w)
+    points = np.vstack([base, target])
+    center = (points.min(0) + points.max(0)) / 2
+    camera = mujoco.MjvCamera()
+    heading = np.degrees(np.arctan2(target[1] - base[0, 1], target[0] - base[0, 0]))
+    camera.azimuth, camera.elevation = heading + 50.0, -24.0
+    camera.lookat[:] = center + 0.25 * (base[step] - center)
+    tangent = np.tan(np.radians(fovy_deg) / 2)
+    camera.distance = _fit_distance(points - camera.lookat, _axes(camera), tangent * aspect, tangent)
+    return camera
+
+
+def _axes(camera: mujoco.MjvCamera) -> np.ndarray:
+    """(3, 3) rows: the camera's forward, right and up directions in the world."""
+    azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    return np.stack([forward, right, np.cross(right, forward)])
+
+
+def _fit_distance(points: np.ndarray, axes: np.ndarray, tan_right: float, tan_up: float) -> float:
+    """Least distance from the look-at point at which balls of radius MARGIN around the points are in view [m]."""
+    forward, right, up = axes @ points.T
+    return float(np.max(np.maximum((np.abs(right) + MARGIN) / tan_right, (np.abs(up) + MARGIN) / tan_up) - forward))
+
+
+def _add_sun(scene: mujoco.MjvScene) -> None:
+    """A light from above that casts shadows, after the headlight and whatever lights the model has."""
+    if scene.nlight >= len(scene.lights):
+        return
+    sun = scene.lights[scene.nlight]
+    sun.type, sun.castshadow, sun.headlight = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, 1, 0
+    direction = np.array([0.35, 0.25, -1.0])
+    sun.dir[:] = direction / np.linalg.norm(direction)
+    sun.pos[:] = np.array(scene.camera[0].pos) * (1, 1, 0) - 20 * sun.dir
+    sun.ambient[:], sun.diffuse[:], sun.specular[:] = 0.0, 0.6, 0.1
+    scene.nlight += 1
+
+
+def _add_sky(scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
+    """A luminous wall behind everything, for a model has no sky of its own."""
+    forward, right, up = _axes(camera)
+    position = camera.lookat + 60.0 * forward
+    frame = np.column_stack([right, up, -forward])
+    _add_geom(scene, mujoco.mjtGeom.mjGEOM_BOX, (100, 100, 0.1), position, (*SKY, 1.0), frame, emission=1.0)
+
+
+def _add_geom(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    size: tuple[float, float, float],
+    position: np.ndarray,
+    rgba: tuple[float, float, float, float],
+    frame: np.ndarray | None = None,
+    emission: float = 0.0,
+) -> None:
+    """Add one decoration; a full scene goes without."""
+    if scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    frame = np.eye(3) if frame is None else frame
+    mujoco.mjv_initGeom(geom, kind, np.array(size, float), np.array(position, float), frame.ravel(), np.float32(rgba))
+    geom.emission = emission
+    scene.ngeom += 1
+
+
+def _ground_height(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray) -> float:
+    """Height of the terrain (visible geoms of group 0) below a point, or the point's own where there is none [m]."""
+    start = point + np.array([0.0, 0.0, 0.3])
+    groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+    distance = mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), groups, 1, -1, np.zeros(1, np.int32))
+    return start[2] - distance if distance >= 0 else point[2]

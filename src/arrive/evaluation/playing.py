@@ -1,0 +1,106 @@
+"""Plays one episode per robot and keeps what happened."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from arrive.env import POLICY, ArriveEnv
+from arrive.evaluation.pictures import Episode
+from arrive.evaluation.policy import Policy
+from arrive.physics.world import compile_world
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class Played:
+    """The first episode of every robot of an environment."""
+
+    success: Tensor
+    """(n,) bool."""
+    distance: Tensor
+    """(n,) to the target at the end [m]."""
+    steps: Tensor
+    """(n,) policy steps it took."""
+    cause: list[str]
+    """(n,) why it failed, empty where it did not."""
+    tile: Tensor
+    """(n,) tile it was played on."""
+    target_w: Tensor
+    """(n, 3) [m]."""
+    qpos: np.ndarray
+    """(longest episode + 1, watched robots, nq) poses in MuJoCo's order."""
+    watched: Tensor
+    """(watched robots,) which robots were recorded."""
+
+
+def play(env: ArriveEnv, policy: Policy, watched: Tensor, progress: Progress = lambda done, total: None) -> Played:
+    """Let the policy act until every robot's first episode is over.
+
+    Args:
+        watched: robots whose poses are recorded.
+        progress: told policy steps done so far and their number.
+    """
+    n = env.num_envs
+    played = Played(
+        success=torch.zeros(n, dtype=torch.bool),
+        distance=torch.zeros(n),
+        steps=torch.zeros(n, dtype=torch.long),
+        cause=[""] * n,
+        tile=env.tile_of_env.clone(),
+        target_w=env.task.command.target_w.clone(),
+        qpos=np.zeros(0),
+        watched=watched,
+    )
+    waiting = torch.ones(n, dtype=torch.bool)
+    observation, poses = env.get_observations()[POLICY], [_poses(env, watched)]
+    for step in range(env.max_episode_length):
+        observation = env.step(policy.act(observation))[0][POLICY]
+        poses.append(_poses(env, watched))
+        _note_ended(env, played, waiting, step + 1)
+        progress(step + 1, env.max_episode_length)
+        if not bool(waiting.any()):
+            break
+    played.qpos = np.stack(poses)
+    return played
+
+
+def _note_ended(env: ArriveEnv, played: Played, waiting: Tensor, step: int) -> None:
+    ended = env.log.finished
+    if ended is None:
+        return
+    new = waiting[ended.env_ids]
+    ids = ended.env_ids[new]
+    played.success[ids], played.distance[ids], played.steps[ids] = ended.success[new], ended.distance[new], step
+    for cause, mask in ended.failures.items():
+        for env_id in ended.env_ids[new & mask].tolist():
+            played.cause[env_id] = cause
+    waiting[ids] = False
+
+
+def _poses(env: ArriveEnv, watched: Tensor) -> np.ndarray:
+    readings = env.physics.read()
+    parts = (readings.base_pos_w, readings.base_quat_w, readings.joint_pos)
+    return torch.cat([part[watched] for part in parts], dim=-1).numpy()
+
+
+def episode(env: ArriveEnv, played: Played, column: int, caption: str) -> Episode:
+    """One recorded robot's episode, in a world with the shapes that are looked at.
+
+    Args:
+        column: which of the watched robots.
+    """
+    env_id = int(played.watched[column])
+    tile = env.pool.tiles[int(played.tile[env_id])]
+    return Episode(
+        model=compile_world(env.robot, tile, env.config.physics, visuals=True),
+        # The last pose is left out: the robot has been reset by then.
+        qpos=played.qpos[: int(played.steps[env_id]), column],
+        target_w=played.target_w[env_id].numpy(),
+        control_dt=env.control_dt,
+        outcome="arrived" if bool(played.success[env_id]) else played.cause[env_id],
+        caption=caption,
+    )

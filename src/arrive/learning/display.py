@@ -1,0 +1,209 @@
+"""What a training run shows while it runs: a live panel in a terminal, a line now and then anywhere else."""
+
+import math
+import time
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+from rich.columns import Columns
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from arrive.learning.report import FamilyReport, IterationReport
+
+BARS = "▁▂▃▄▅▆▇█"
+ASCII_BARS = "_.:-=+*#"
+MAX_BARS = 24
+"""A histogram of more levels than this pools neighbours."""
+TOP_FAILURES = 4
+
+
+class TrainingDisplay:
+    """Context manager that shows each report; a terminal that fails ends the display, never the training."""
+
+    def __init__(self, title: str, folder: Path | str, console: Console | None = None, line_every_s: float = 10.0):
+        """
+        Args:
+            title: robot, terrain and preset.
+            folder: the run's folder.
+            console: where to write; standard output by default.
+            line_every_s: shortest time between two lines when the output is no terminal [s].
+        """
+        self._title, self._folder = title, str(folder)
+        self._console = console or Console()
+        self._line_every_s = line_every_s
+        self._live: Live | None = None
+        self._last_line_s = -math.inf
+        self._unprinted: IterationReport | None = None
+        self._failed = False
+
+    def __enter__(self) -> "TrainingDisplay":
+        if self._console.is_terminal:
+            # Refreshed by `update` alone: a thread would take time from the physics.
+            self._live = Live(console=self._console, auto_refresh=False)
+            self._live.start()
+        else:
+            self._print(f"{self._title}: {self._folder}")
+        return self
+
+    def update(self, report: IterationReport) -> None:
+        """Show one iteration."""
+        if self._failed:
+            return
+        try:
+            self._show(report)
+        except (OSError, ValueError) as error:  # the terminal is gone, closed, or cannot encode a character
+            self._failed = True
+            warnings.warn(f"the training display stopped: {error}", RuntimeWarning, stacklevel=2)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+        if self._failed:
+            return
+        if self._live is not None:
+            self._live.stop()
+        elif self._unprinted is not None:
+            self._print(plain_line(self._unprinted))
+
+    def _show(self, report: IterationReport) -> None:
+        if self._live is not None:
+            unicode = self._console.encoding.lower().startswith("utf")
+            self._live.update(panel(report, self._title, self._folder, BARS if unicode else ASCII_BARS), refresh=True)
+            return
+        self._unprinted = report
+        if time.monotonic() - self._last_line_s >= self._line_every_s:
+            self._print(plain_line(report))
+            self._last_line_s, self._unprinted = time.monotonic(), None
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def plain_line(report: IterationReport) -> str:
+    """One iteration in one line of plain ASCII text, for log files and pipes."""
+    families = ", ".join(
+        f"{name} {_percent(family.arrival)}" + (f" level {family.mean_level:.1f}" if len(family.levels) > 1 else "")
+        for name, family in report.families.items()
+    )
+    parts = [
+        f"iteration {report.iteration}",
+        f"{_percent(report.budget)} of budget, {_clock(report.elapsed_s)} elapsed, {_clock(report.time_left_s)} left",
+        f"{_count(report.samples)} samples, {report.samples_per_s:,.0f}/s",
+        f"arrival {_percent(report.arrival)}" + (f" ({families})" if families else ""),
+        f"exploration reward {exploration_state(report)}",
+    ]
+    if report.failures:
+        parts.append(", ".join(f"{name} {_percent(share)}" for name, share in _top(report.failures)))
+    return " | ".join(parts)
+
+
+def panel(report: IterationReport, title: str, folder: str, bars: str = BARS) -> Panel:
+    """One iteration as a panel that fits any width from 80 columns on."""
+    parts: list[RenderableType] = [_progress(report), _summary(report)]
+    if report.families:
+        parts.append(_families(report.families, bars))
+    if report.failures:
+        shares = {name: _percent(share) for name, share in _top(report.failures)}
+        parts += [_heading("failures, share of episodes"), _figures(shares.items())]
+    if report.rewards:
+        values = {name: f"{value:+.3g}" for name, value in report.rewards.items()}
+        parts += [_heading("rewards per step"), _figures(values.items(), signed=True)]
+    if report.learning:
+        values = {name: f"{value:.3g}" for name, value in report.learning.items()}
+        parts += [_heading("learning"), _figures(values.items())]
+    return Panel(Group(*parts), title=Text(title, "bold"), subtitle=Text(folder, "dim"), border_style="cyan")
+
+
+def exploration_state(report: IterationReport) -> str:
+    """Whether the exploration reward (paper, eq. 3) is still paid, and what it waits for."""
+    if not report.exploration_active:
+        return "removed"
+    return f"paid, task reward at {_percent(report.task_fraction)} of its maximum; goes at 50 %"
+
+
+def level_bars(levels: tuple[int, ...], bars: str = BARS) -> Text:
+    """Histogram of robots per level, lowest level first; the lowest bar, dimmed, means that there are none."""
+    pool = math.ceil(len(levels) / MAX_BARS)
+    counts = [sum(levels[start : start + pool]) for start in range(0, len(levels), pool)]
+    top, steps = max(counts, default=0), len(bars) - 1
+    text = Text(no_wrap=True)
+    for count in counts:
+        text.append(bars[math.ceil(count / top * steps)] if count else bars[0], "green" if count else "dim")
+    return text
+
+
+def _progress(report: IterationReport) -> Table:
+    row = Table.grid(padding=(0, 1), expand=True)
+    row.add_column(ratio=1)
+    row.add_column(no_wrap=True, justify="right")
+    share = min(max(report.budget, 0.0), 1.0)
+    clock = f"{_percent(share)}   {_clock(report.elapsed_s)} elapsed   {_clock(report.time_left_s)} left"
+    row.add_row(ProgressBar(total=1.0, completed=share), clock)
+    return row
+
+
+def _summary(report: IterationReport) -> Table:
+    table = Table.grid(padding=(0, 2))
+    count = f"{_count(report.samples)} samples   {report.samples_per_s:,.0f}/s   iteration {report.iteration:,}"
+    table.add_row("progress", count)
+    table.add_row("arrival", Text(_percent(report.arrival), "bold green"))
+    table.add_row("exploration reward", exploration_state(report))
+    return table
+
+
+def _families(families: dict[str, FamilyReport], bars: str) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("terrain", no_wrap=True)
+    table.add_column("arrival", justify="right", no_wrap=True)
+    table.add_column("mean level", justify="right", no_wrap=True)
+    table.add_column("robots by level, easiest first", no_wrap=True)
+    for name, family in families.items():
+        if len(family.levels) > 1:
+            level = [f"{family.mean_level:.1f} of {len(family.levels) - 1}", level_bars(family.levels, bars)]
+        else:
+            level = ["", ""]
+        table.add_row(name, _percent(family.arrival), *level)
+    return table
+
+
+def _figures(figures: Iterable[tuple[str, str]], signed: bool = False) -> Columns:
+    figures = list(figures)
+    name_width = max(len(name) for name, _ in figures)
+    value_width = max(len(value) for _, value in figures)
+    cells = []
+    for name, value in figures:
+        style = ("red" if value.startswith("-") else "green") if signed else "bold"
+        cells.append(Text(f"{name:<{name_width}} ") + Text(f"{value:>{value_width}}", style))
+    return Columns(cells, padding=(0, 3, 0, 0), equal=True)
+
+
+def _heading(text: str) -> Text:
+    return Text(text, "dim")
+
+
+def _top(failures: dict[str, float]) -> list[tuple[str, float]]:
+    return sorted(failures.items(), key=lambda item: -item[1])[:TOP_FAILURES]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if math.isfinite(share) else "-"
+
+
+def _clock(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "-"
+    minutes, second = divmod(round(max(seconds, 0.0)), 60)
+    hour, minute = divmod(minutes, 60)
+    return f"{hour}:{minute:02d}:{second:02d}" if hour else f"{minute}:{second:02d}"
+
+
+def _count(number: int) -> str:
+    for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= size:
+            return f"{number / size:.2f} {unit}"
+    return str(number)

@@ -1,0 +1,67 @@
+"""Stops learning from numbers that are none: finds the term and the environments, and keeps the evidence."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from arrive.learning.checkpoint import save_atomically
+
+MAX_LISTED = 10
+
+
+class NonFiniteError(Exception):
+    """An observation, a reward, a loss or a network is not finite."""
+
+    def __init__(self, what: str, tensors: dict[str, Tensor]):
+        super().__init__(what)
+        self.tensors = tensors
+
+
+def check_terms(kind: str, terms: dict[str, Tensor]) -> None:
+    """Make sure that per-environment values are finite.
+
+    Args:
+        terms: name to (num_envs, ...) values.
+
+    Raises:
+        NonFiniteError: names the terms and the environments.
+    """
+    bad = {
+        name: ~value.flatten(1).isfinite().all(-1) for name, value in ((n, v.unsqueeze(-1)) for n, v in terms.items())
+    }
+    bad = {name: mask for name, mask in bad.items() if bool(mask.any())}
+    if bad:
+        parts = [f"{name} in environments {_listed(mask)}" for name, mask in bad.items()]
+        raise NonFiniteError(f"non-finite {kind}: {'; '.join(parts)}", {name: terms[name] for name in bad})
+
+
+def check_losses(losses: dict[str, float], parameters: dict[str, Tensor]) -> None:
+    """Make sure that an update left finite losses and networks.
+
+    Raises:
+        NonFiniteError: names the losses and parameters.
+    """
+    names = [f"loss {name}" for name, value in losses.items() if value != value or abs(value) == float("inf")]
+    broken = {name: value for name, value in parameters.items() if not bool(value.isfinite().all())}
+    if names or broken:
+        raise NonFiniteError(f"non-finite after the update: {', '.join([*names, *broken])}", broken)
+
+
+def save_dump(folder: Path, iteration: int, error: NonFiniteError, state: dict) -> Path:
+    """Keep what went wrong for a person to look at."""
+    path = folder / f"dump_{iteration}.pt"
+    save_atomically({"what": str(error), "values": error.tensors, "state": state}, path)
+    return path
+
+
+def _listed(mask: Tensor) -> str:
+    ids = mask.nonzero().squeeze(-1).tolist()
+    return ", ".join(map(str, ids[:MAX_LISTED])) + (
+        f" and {len(ids) - MAX_LISTED} more" if len(ids) > MAX_LISTED else ""
+    )
+
+
+def finite_sum(terms: dict[str, Tensor]) -> bool:
+    """Whether all values are finite, by one cheap reduction each."""
+    return all(bool(torch.isfinite(value.sum())) for value in terms.values())

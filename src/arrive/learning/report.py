@@ -1,0 +1,60 @@
+"""What one training iteration has to say; the display, the log, the curves and TensorBoard all read this."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class FamilyReport:
+    """How the robots on one terrain family are doing."""
+
+    arrival: float
+    """Share of recently finished episodes that arrived, NaN before the first one."""
+    mean_level: float
+    """Mean terrain level of the robots now on this family."""
+    levels: tuple[int, ...]
+    """Number of robots on each level."""
+
+
+@dataclass(frozen=True)
+class IterationReport:
+    """One iteration: progress, success, rewards and losses, all by name."""
+
+    iteration: int
+    samples: int
+    """Policy steps since the run began, over all environments."""
+    elapsed_s: float
+    """Training time since the run began, over all resumed parts [s]."""
+    budget: float
+    """Share of the run's budget (minutes or iterations) that is spent, 0 to 1."""
+    time_left_s: float
+    samples_per_s: float
+    arrival: float
+    """Share of recently finished episodes that arrived, NaN before the first one."""
+    exploration_active: bool
+    """Whether the exploration reward (paper, eq. 3) is still paid."""
+    task_fraction: float
+    """Task reward inside its window as a share of its maximum; the exploration reward goes at 0.5."""
+    families: dict[str, FamilyReport] = field(default_factory=dict)
+    rewards: dict[str, float] = field(default_factory=dict)
+    """Mean weighted reward per step and term, over the iteration."""
+    failures: dict[str, float] = field(default_factory=dict)
+    """Share of recently finished episodes per cause of failure."""
+    learning: dict[str, float] = field(default_factory=dict)
+    """Losses, learning rate, action standard deviation."""
+
+    def scalars(self) -> dict[str, float]:
+        """Every figure under one flat name, as TensorBoard and the CSV log write them."""
+        flat = {
+            "progress/samples": float(self.samples),
+            "progress/elapsed_s": self.elapsed_s,
+            "progress/samples_per_s": self.samples_per_s,
+            "arrival/all": self.arrival,
+            "exploration/active": float(self.exploration_active),
+            "exploration/task_fraction": self.task_fraction,
+        }
+        for name, family in self.families.items():
+            flat[f"arrival/{name}"] = family.arrival
+            flat[f"level/{name}"] = family.mean_level
+        for group in ("rewards", "failures", "learning"):
+            flat |= {f"{group}/{name}": value for name, value in getattr(self, group).items()}
+        return flat

@@ -1,0 +1,86 @@
+"""Running figures over the episodes that finished lately."""
+
+from collections import deque
+
+import torch
+from torch import Tensor
+
+from arrive.env import ArriveEnv, StepLog
+from arrive.learning.report import FamilyReport
+
+WINDOW_ITERATIONS = 20
+"""Finished episodes of this many iterations make the arrival rate that is shown."""
+
+
+class TrainingStatistics:
+    """Gathers rewards and outcomes of an iteration's steps."""
+
+    def __init__(self, env: ArriveEnv):
+        self._names = [family.name for family in env.pool.families]
+        self._recent: deque[dict[str, list[float]]] = deque(maxlen=WINDOW_ITERATIONS)
+        self.diverged = 0
+        """Simulations that diverged since the run was started or resumed."""
+        self._begin()
+
+    def _begin(self) -> None:
+        zeros = [0.0] * len(self._names)
+        self._now: dict[str, list[float]] = {"episodes": list(zeros), "success": list(zeros)}
+        self._rewards: dict[str, float] = {}
+        self._steps = 0
+
+    def take(self, env: ArriveEnv, log: StepLog) -> None:
+        """Take in one step."""
+        self._steps += 1
+        self.diverged += log.diverged
+        for name, value in log.rewards.items():
+            self._rewards[name] = self._rewards.get(name, 0.0) + float(value.mean())
+        if log.finished is None:
+            return
+        counted = log.finished.counted
+        family = env.family_of_env[log.finished.env_ids]
+        for name, mask in {"success": log.finished.success, **log.finished.failures}.items():
+            self._add(name, family[mask & counted])
+        self._add("episodes", family[counted])
+
+    def _add(self, name: str, families: Tensor) -> None:
+        counts = torch.bincount(families, minlength=len(self._names)).tolist()
+        row = self._now.setdefault(name, [0.0] * len(self._names))
+        self._now[name] = [a + b for a, b in zip(row, counts, strict=True)]
+
+    def finish_iteration(self) -> dict[str, float]:
+        """Close the iteration; mean weighted reward per step and term."""
+        rewards = {name: total / max(self._steps, 1) for name, total in self._rewards.items()}
+        self._recent.append(self._now)
+        self._begin()
+        return rewards
+
+    def _total(self, name: str, family: int | None = None) -> float:
+        rows = [row.get(name, [0.0] * len(self._names)) for row in self._recent]
+        return sum(sum(row) if family is None else row[family] for row in rows)
+
+    def arrival(self, family: int | None = None) -> float:
+        """Share of the recent episodes that arrived, NaN before the first one."""
+        episodes = self._total("episodes", family)
+        return self._total("success", family) / episodes if episodes else float("nan")
+
+    def failures(self) -> dict[str, float]:
+        """Share of the recent episodes per cause of failure."""
+        episodes = self._total("episodes")
+        causes = {name for row in self._recent for name in row} - {"episodes", "success"}
+        return {name: self._total(name) / episodes for name in sorted(causes)} if episodes else {}
+
+    def families(self, env: ArriveEnv) -> dict[str, FamilyReport]:
+        """Arrival and levels per terrain family."""
+        reports = {}
+        for index, name in enumerate(self._names):
+            levels = env.curriculum.levels[env.family_of_env == index]
+            histogram = torch.bincount(levels, minlength=env.pool.num_levels[index])
+            reports[name] = FamilyReport(self.arrival(index), float(levels.float().mean()), tuple(histogram.tolist()))
+        return reports
+
+    def state_dict(self) -> list[dict[str, list[float]]]:
+        return list(self._recent)
+
+    def load_state_dict(self, state: list[dict[str, list[float]]]) -> None:
+        self._recent = deque(state, maxlen=WINDOW_ITERATIONS)
+        self._begin()

@@ -1,0 +1,131 @@
+"""MuJoCo's batched simulation on CPU threads."""
+
+import ctypes
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch, SimulationError
+from torch import Tensor
+
+from arrive.physics.engine import Readings
+from arrive.physics.world import sensor_layout
+from arrive.robots.robot import Robot
+
+STATE_FIELDS = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")
+"""The parts of MuJoCo's integration state that this model uses."""
+MAX_SPEED = 300.0
+"""Base or joint speed beyond which a simulation counts as diverged [m/s, rad/s]."""
+
+
+def _silence_mujoco() -> None:
+    """Keep MuJoCo from writing a log file and the terminal full when a simulation diverges; `read` reports it.
+
+    Its warning handler must be a C function, for worker threads call it without Python's lock; strlen takes the same
+    argument and does nothing.
+    """
+    library = ctypes.CDLL(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
+    handler = ctypes.c_void_p.in_dll(library, "mju_user_warning")
+    handler.value = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
+
+
+class CpuPhysics:
+    """`Physics` by `mujoco.batch`: bit-identical at any number of threads."""
+
+    def __init__(
+        self, robot: Robot, worlds: Sequence[mujoco.MjModel], num_envs: int, decimation: int, threads: int = 0
+    ):
+        """Build the batch with every environment in the first world.
+
+        Args:
+            worlds: compiled models of one layout.
+            decimation: physics steps per policy step.
+            threads: physics threads; 0 takes one per CPU.
+        """
+        _silence_mujoco()
+        self.num_envs = num_envs
+        self.device = torch.device("cpu")
+        self._decimation = decimation
+        self._worlds = list(worlds)
+        self._layout = sensor_layout(robot)
+        self._num_feet = len(robot.foot_sites)
+        self._batch = Batch(self._worlds[0], num_envs, threads)
+        self._state = {name: self._batch.bind(name) for name in STATE_FIELDS}
+        self._sensors = self._batch.bind("sensordata")
+        self._torque = self._batch.bind("actuator_force")
+        self._world_of_env = np.zeros(num_envs, dtype=np.int64)
+        self._moved = True
+        self._failed = np.zeros(num_envs, dtype=bool)
+
+    @property
+    def world_of_env(self) -> np.ndarray:
+        """(num_envs,) index of the world each environment is in."""
+        return self._world_of_env
+
+    def model_of_env(self, env_id: int) -> mujoco.MjModel:
+        """The compiled world an environment is in."""
+        return self._worlds[self._world_of_env[env_id]]
+
+    def place(self, env_ids: Tensor, world_ids: Tensor) -> None:
+        self._world_of_env[env_ids.numpy()] = world_ids.numpy()
+        self._moved = True
+
+    def reset(self, env_ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+        ids = env_ids.numpy()
+        self._state["qpos"][ids] = qpos.numpy()
+        self._state["qvel"][ids] = qvel.numpy()
+        self._state["ctrl"][ids] = qpos.numpy()[:, 7:]
+        self._state["qacc_warmstart"][ids] = 0.0
+        self._state["time"][ids] = 0.0
+        self._failed[ids] = False
+
+    def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
+        self._state["qvel"][env_ids.numpy(), :3] += lin_vel_w.numpy()
+
+    def step(self, joint_targets: Tensor) -> None:
+        if self._moved:
+            self._batch.set_models([self._worlds[world] for world in self._world_of_env])
+            self._moved = False
+        self._state["ctrl"][:] = joint_targets.numpy()
+        try:
+            self._batch.step(nstep=self._decimation)
+        except SimulationError as error:
+            self._failed[error.ids] = True
+
+    def read(self) -> Readings:
+        qpos, qvel = _float32(self._state["qpos"]), _float32(self._state["qvel"])
+        sensors = _float32(self._sensors)
+        layout = self._layout
+        speed = qvel.abs().amax(-1)
+        return Readings(
+            base_pos_w=qpos[:, :3],
+            base_quat_w=qpos[:, 3:7],
+            base_lin_vel_w=qvel[:, :3],
+            base_ang_vel_b=qvel[:, 3:6],
+            joint_pos=qpos[:, 7:],
+            joint_vel=qvel[:, 6:],
+            joint_torque=_float32(self._torque),
+            foot_vel_w=sensors[:, layout.foot_velocity].unflatten(1, (self._num_feet, 3)),
+            crash_contacts=sensors[:, layout.crash_contacts].sum(-1),
+            collision_contacts=(sensors[:, layout.collision_contacts] > 0).float().sum(-1),
+            foot_contacts=sensors[:, layout.foot_contacts],
+            # A NaN compares false, so it fails the bound too.
+            finite=(speed < MAX_SPEED) & qpos.isfinite().all(-1) & ~torch.from_numpy(self._failed.copy()),
+        )
+
+    def state_dict(self) -> dict[str, Tensor]:
+        state = {name: torch.from_numpy(view.copy()) for name, view in self._state.items()}
+        return state | {"world_of_env": torch.from_numpy(self._world_of_env.copy())}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        for name, view in self._state.items():
+            view[:] = state[name].numpy()
+        self._world_of_env[:] = state["world_of_env"].numpy()
+        self._moved = True
+
+
+def _float32(array: np.ndarray) -> Tensor:
+    """A float32 copy as a tensor."""
+    return torch.from_numpy(array.astype(np.float32))

@@ -1,0 +1,69 @@
+"""A tile's shapes as MuJoCo geoms."""
+
+import mujoco
+import numpy as np
+
+from arrive.errors import ArriveError
+from arrive.terrain.tile import MAX_GEOMS, HeightField, Tile
+
+GREY = (0.62, 0.62, 0.60)
+PARKED_Z = -100.0
+"""Where unused geoms are [m]."""
+FIELD_NAME = "terrain"
+FIELD_BASE = 1.0
+"""Thickness of a height field below its lowest point [m]."""
+
+
+def add_tile(spec: mujoco.MjSpec, tile: Tile) -> None:
+    """Add a tile to the world body as exactly `MAX_GEOMS` geoms called terrain_0, terrain_1, ...
+
+    Boxes come first and unused ones are parked far below, so that every model has the same number of geoms (which
+    `Batch.set_models` requires); a height field takes the last place. They collide only with geoms whose contype
+    has bit 0, and are in group 0.
+
+    Raises:
+        ArriveError: the tile has more shapes than that.
+    """
+    num_boxes = MAX_GEOMS - (tile.height_field is not None)
+    if len(tile.boxes) > num_boxes:
+        raise ArriveError(f"a tile has {len(tile.boxes)} boxes, but only {num_boxes} fit")
+    for k in range(num_boxes):
+        geom = _add_geom(spec, tile, k)
+        geom.type = mujoco.mjtGeom.mjGEOM_BOX
+        if k < len(tile.boxes):
+            box = tile.boxes[k]
+            geom.pos, geom.size, geom.quat = box.center, box.half_size, box.quat
+        else:
+            geom.pos, geom.size = (0.0, 0.0, PARKED_Z), (0.01, 0.01, 0.01)
+    if tile.height_field is not None:
+        _add_height_field(spec, tile, tile.height_field)
+
+
+def _add_geom(spec: mujoco.MjSpec, tile: Tile, place: int, colour: int | None = None) -> mujoco.MjsGeom:
+    """A terrain geom without a shape yet, in the palette's colour of that index (default: its place)."""
+    index = place if colour is None else colour
+    rgb = tile.palette[index] if index < len(tile.palette) else GREY
+    return spec.worldbody.add_geom(
+        name=f"terrain_{place}", contype=0, conaffinity=1, condim=3, group=0, rgba=(*rgb, 1.0)
+    )
+
+
+def _add_height_field(spec: mujoco.MjSpec, tile: Tile, field: HeightField) -> None:
+    """The height field in the last place, in the palette's colour after the boxes.
+
+    MuJoCo scales the data to 0..1 and multiplies it by `size[2]`; its rows run along y.
+    """
+    lowest = float(field.heights.min())
+    spread = float(np.ptp(field.heights))
+    count_x, count_y = field.heights.shape
+    spec.add_hfield(
+        name=FIELD_NAME,
+        size=(field.half_extent, field.half_extent, max(spread, 1e-3), FIELD_BASE),
+        nrow=count_y,
+        ncol=count_x,
+        userdata=field.heights.T.ravel(),
+    )
+    geom = _add_geom(spec, tile, MAX_GEOMS - 1, colour=len(tile.boxes))
+    geom.type = mujoco.mjtGeom.mjGEOM_HFIELD
+    geom.hfieldname = FIELD_NAME
+    geom.pos = (0.0, 0.0, lowest)

@@ -1,0 +1,96 @@
+"""A world: one robot on one tile, compiled, with the friction and payload that this copy was dealt."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+
+from arrive.actuation import add_motors
+from arrive.physics.options import PhysicsConfig, apply_options
+from arrive.physics.scene import add_tile
+from arrive.robots.robot import Robot
+from arrive.terrain.tile import Tile
+
+FOOT_VELOCITY = "foot_velocity"
+CONTACTS = "contacts"
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Where each sensor's readings stand in `sensordata`; the same for every world of a robot."""
+
+    foot_velocity: slice
+    """World-frame velocity of each foot site, 3 per foot [m/s]."""
+    crash_contacts: slice
+    """Contacts of each crash body."""
+    collision_contacts: slice
+    """Contacts of each collision body."""
+    foot_contacts: slice
+    """Contacts of each foot body."""
+
+
+def sensor_layout(robot: Robot) -> Sensors:
+    """The layout that `add_sensors` produces."""
+    sizes = (3 * len(robot.foot_sites), len(robot.crash_bodies), len(robot.collision_bodies), len(robot.foot_bodies))
+    starts = [sum(sizes[:i]) for i in range(5)]
+    return Sensors(*(slice(a, b) for a, b in itertools.pairwise(starts)))
+
+
+def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Add the sensors the task reads, and no others: each costs time at every physics step."""
+    for site in robot.foot_sites:
+        spec.add_sensor(
+            name=f"{FOOT_VELOCITY}_{site}",
+            type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site,
+        )
+    _add_contact_counts(spec, (*robot.crash_bodies, *robot.collision_bodies, *robot.foot_bodies))
+
+
+def _add_contact_counts(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
+    """One sensor per body that reads the number of its contacts."""
+    found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+    for body in bodies:
+        sensor = spec.add_sensor(
+            name=f"{CONTACTS}_{body}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            objname=body,
+        )
+        sensor.intprm[:3] = [found, 0, 1]
+
+
+def world_spec(robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = False) -> mujoco.MjSpec:
+    """The uncompiled robot on a tile; `visuals` adds the shapes that are only looked at."""
+    spec = robot.build_spec(visuals)
+    add_tile(spec, tile)
+    apply_options(spec, config)
+    add_motors(spec, robot.joint_names, robot.motor, config.motor)
+    add_sensors(spec, robot)
+    return spec
+
+
+def compile_world(
+    robot: Robot,
+    tile: Tile,
+    config: PhysicsConfig,
+    friction: float = 1.0,
+    payload_kg: float = 0.0,
+    visuals: bool = False,
+) -> mujoco.MjModel:
+    """Compile the robot on a tile.
+
+    Args:
+        friction: sliding friction coefficient of every contact.
+        payload_kg: mass added to the base at its centre of mass, may be negative [kg].
+    """
+    spec = world_spec(robot, tile, config, visuals)
+    for geom in spec.geoms:
+        geom.friction[0] = friction
+    base = spec.body(robot.base_body)
+    scale = (base.mass + payload_kg) / base.mass
+    base.mass *= scale
+    base.fullinertia = [component * scale for component in base.fullinertia]
+    return spec.compile()

@@ -1,0 +1,109 @@
+"""Final-position tracking: be at the target when the time is over (paper, section Method)."""
+
+import torch
+from torch import Tensor
+
+from arrive.config import Config
+from arrive.robots.robot import Robot
+from arrive.task.heights import look_up
+from arrive.task.observations import ObservationTerm, observation_terms
+from arrive.task.rewards import REWARDS, RewardFunction, distance_to_target
+from arrive.task.state import Command, State
+from arrive.task.targets import sample_targets
+from arrive.task.task import Outcome, Start
+from arrive.terrain.pool import Rasters
+
+STALLED_SPEED = 0.1
+"""A robot slower than this when time ran out stood still [m/s]."""
+
+
+class FinalPositionTask:
+    """Position targets with a deadline."""
+
+    rewards: dict[str, RewardFunction] = REWARDS
+
+    def __init__(
+        self,
+        config: Config,
+        rasters: Rasters,
+        generator: torch.Generator,
+        fixed_target: tuple[float, float] | None = None,
+    ):
+        """Build the task with no commands yet.
+
+        Args:
+            fixed_target: horizontal position of every target in the tile's frame, instead of drawing them [m].
+        """
+        self._config = config.task
+        self._observation = config.observation
+        self._rasters = rasters
+        self._generator = generator
+        self._fixed_target = fixed_target
+        device, num_envs = rasters.heights.device, config.num_envs
+        self._command = Command(
+            target_w=torch.zeros(num_envs, 3, device=device),
+            time_left_s=torch.zeros(num_envs, device=device),
+            start_distance=torch.ones(num_envs, device=device),
+            counts=torch.zeros(num_envs, dtype=torch.bool, device=device),
+        )
+
+    @property
+    def command(self) -> Command:
+        return self._command
+
+    def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
+        return observation_terms(robot, self._observation, self._config.episode_s)
+
+    def new_command(self, start: Start, first: bool) -> None:
+        config, ids = self._config, start.env_ids
+        command = self._command
+        targets = self._targets(start)
+        crossing = look_up(self._rasters.crossing, start.tile_ids, targets[:, None, :2]).squeeze(1)
+        command.target_w[ids] = targets
+        command.start_distance[ids] = (targets - start.base_pos_w).norm(dim=-1)
+        draw = torch.rand(len(ids), generator=self._generator, device=targets.device)
+        if first:
+            # Robots that all began together would end together; a shortened episode proves nothing.
+            command.time_left_s[ids] = config.episode_s * draw
+            command.counts[ids] = False
+        else:
+            command.time_left_s[ids] = config.episode_min_s + (config.episode_s - config.episode_min_s) * draw
+            command.counts[ids] = crossing
+
+    def _targets(self, start: Start) -> Tensor:
+        if self._fixed_target is None:
+            return sample_targets(self._rasters, start.tile_ids, start.base_pos_w, self._config, self._generator)
+        point = torch.tensor(self._fixed_target, device=start.base_pos_w.device).expand(len(start.env_ids), 2)
+        ground = look_up(self._rasters.heights, start.tile_ids, point.unsqueeze(1))
+        return torch.cat([point, ground + self._config.target_height], dim=-1)
+
+    def advance(self, dt: float) -> Tensor:
+        self._command.time_left_s -= dt
+        return self._command.time_left_s < dt / 2
+
+    def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
+        """Success is being within the arrival radius without a crash; a level counts only when it was crossed."""
+        distance = distance_to_target(state, self._command)
+        failed = crashed | fell
+        success = (distance < self._config.arrival_radius) & ~failed
+        slow = state.base_lin_vel_w.norm(dim=-1) < STALLED_SPEED
+        far = distance > 0.5 * self._command.start_distance
+        lost = ~success & (far | failed) if self._config.demotion == "far" else ~success
+        return Outcome(
+            success=success,
+            promote=success & self._command.counts,
+            demote=lost & self._command.counts,
+            failures={
+                "crash": crashed & ~fell,
+                "fell": fell,
+                "stalled": ~success & ~failed & slow,
+                "late": ~success & ~failed & ~slow,
+            },
+        )
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return {name: value.clone() for name, value in vars(self._command).items()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        for name, value in vars(self._command).items():
+            value.copy_(state[name])

@@ -1,0 +1,133 @@
+"""What the policy senses: named terms in a fixed order, from which sizes, scales, noise and mirror maps follow."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from arrive.config import ObservationConfig
+from arrive.robots.robot import Robot
+from arrive.task.heights import HeightGrid
+from arrive.task.rotation import rotate_inverse
+from arrive.task.state import Command, State
+
+HEIGHT_OFFSET = 0.5
+"""Heights are given relative to this far below the base (legged_gym) [m]."""
+HEIGHT_CLIP = 1.0
+"""Relative heights are cut at this [m]."""
+
+
+@dataclass(frozen=True)
+class ObservationTerm:
+    """One named slice of the observation."""
+
+    name: str
+    unit: str
+    frame: str
+    labels: tuple[str, ...]
+    """What each entry is."""
+    scale: float
+    """The policy receives value * scale."""
+    noise: float
+    """Half-width of the uniform noise, in `unit`."""
+    mirror: tuple[tuple[int, float], ...]
+    """For each entry, the entry it takes from and the sign under left-right reflection."""
+    compute: Callable[[State, Command], Tensor]
+
+    @property
+    def size(self) -> int:
+        return len(self.labels)
+
+
+VECTOR_MIRROR = ((0, 1.0), (1, -1.0), (2, 1.0))
+AXIAL_MIRROR = ((0, -1.0), (1, 1.0), (2, -1.0))
+XYZ = ("x", "y", "z")
+
+
+def joint_mirror(robot: Robot) -> tuple[tuple[int, float], ...]:
+    """The robot's joint mirror map by index."""
+    index = {name: i for i, name in enumerate(robot.joint_names)}
+    return tuple((index[partner], sign) for partner, sign in robot.joint_mirror)
+
+
+def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float) -> tuple[ObservationTerm, ...]:
+    """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise.
+
+    The direction of gravity is not in the paper's list but in the set-up of Rudin et al. 2021 that it builds on.
+    """
+    joints = robot.joint_names
+    mirror_joints = joint_mirror(robot)
+    default = torch.tensor(robot.default_joint_pos)
+    grid = HeightGrid(config)
+    cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
+    mirror_cells = tuple((i, 1.0) for i in grid.mirror())
+    return (
+        ObservationTerm("base_lin_vel", "m/s", "base", XYZ, 2.0, config.noise_lin_vel, VECTOR_MIRROR,
+                        lambda s, c: s.base_lin_vel_b),
+        ObservationTerm("base_ang_vel", "rad/s", "base", XYZ, 0.25, config.noise_ang_vel, AXIAL_MIRROR,
+                        lambda s, c: s.base_ang_vel_b),
+        ObservationTerm("gravity", "1", "base", XYZ, 1.0, config.noise_gravity, VECTOR_MIRROR,
+                        lambda s, c: s.gravity_b),
+        ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR,
+                        lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
+        ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),),
+                        lambda s, c: c.time_left_s.unsqueeze(-1)),
+        ObservationTerm("joint_pos", "rad", "relative to the default pose", joints, 1.0, config.noise_joint_pos,
+                        mirror_joints, lambda s, c: s.joint_pos - default.to(s.joint_pos)),
+        ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, mirror_joints,
+                        lambda s, c: s.joint_vel),
+        ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, mirror_joints, lambda s, c: s.action),
+        ObservationTerm("heights", "m", "heading, 0.5 m below the base, positive down", cells, 5.0,
+                        config.noise_heights, mirror_cells, relative_heights),
+    )  # fmt: skip
+
+
+def relative_heights(state: State, command: Command) -> Tensor:
+    """(n, points) how far the ground lies below 0.5 m under the base, cut at 1 m either way [m]."""
+    below = state.base_pos_w[:, 2:3] - HEIGHT_OFFSET - state.heights_w
+    return below.clamp(-HEIGHT_CLIP, HEIGHT_CLIP)
+
+
+class Observer:
+    """Computes the observation vector from its terms."""
+
+    def __init__(self, terms: tuple[ObservationTerm, ...], noisy: bool, device: torch.device):
+        self.terms = terms
+        self.size = sum(term.size for term in terms)
+        self._noisy = noisy
+        self._scale = self._spread([term.scale for term in terms], device)
+        self._noise = self._spread([term.scale * term.noise for term in terms], device)
+
+    def _spread(self, values: list[float], device: torch.device) -> Tensor:
+        sizes = torch.tensor([term.size for term in self.terms])
+        return torch.tensor(values).repeat_interleave(sizes).to(device)
+
+    def observe(self, state: State, command: Command, generator: torch.Generator) -> Tensor:
+        """(n, size) scaled observation, with noise where this observer is noisy."""
+        clean = torch.cat([term.compute(state, command) for term in self.terms], dim=-1) * self._scale
+        if not self._noisy:
+            return clean
+        noise = torch.rand(clean.shape, generator=generator, device=clean.device).mul_(2.0).sub_(1.0)
+        return clean.addcmul_(noise, self._noise)
+
+    def schema(self) -> list[dict[str, Any]]:
+        """Name, slice, unit, frame, scale and labels of every term, as plain data for a checkpoint."""
+        rows, start = [], 0
+        for term in self.terms:
+            rows.append({
+                "name": term.name, "start": start, "stop": start + term.size, "unit": term.unit, "frame": term.frame,
+                "scale": term.scale, "labels": list(term.labels),
+            })  # fmt: skip
+            start += term.size
+        return rows
+
+    def mirror(self) -> tuple[Tensor, Tensor]:
+        """Index and sign, (size,) each: mirrored = observation[:, index] * sign."""
+        index, sign, start = [], [], 0
+        for term in self.terms:
+            index += [start + source for source, _ in term.mirror]
+            sign += [factor for _, factor in term.mirror]
+            start += term.size
+        return torch.tensor(index), torch.tensor(sign)

@@ -1,0 +1,64 @@
+"""The typed state that observations, rewards and terminations read."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass
+class State:
+    """The robots at one policy step, float32, one row per environment.
+
+    Frames: `_w` is the environment's own world frame (its tile's origin), `_b` the base frame.
+    """
+
+    base_pos_w: Tensor
+    """(n, 3) [m]."""
+    base_quat_w: Tensor
+    """(n, 4), (w, x, y, z), rotates base into world."""
+    base_lin_vel_w: Tensor
+    """(n, 3) [m/s]."""
+    base_lin_vel_b: Tensor
+    """(n, 3) [m/s]."""
+    base_ang_vel_b: Tensor
+    """(n, 3) [rad/s]."""
+    gravity_b: Tensor
+    """(n, 3) unit vector of gravity."""
+    joint_pos: Tensor
+    """(n, joints) [rad]."""
+    joint_vel: Tensor
+    """(n, joints) [rad/s]."""
+    joint_acc: Tensor
+    """(n, joints) change of joint_vel over the policy step [rad/s^2]."""
+    joint_torque: Tensor
+    """(n, joints) at the last physics step [N m]."""
+    foot_acc_w: Tensor
+    """(n, feet, 3) change of foot velocity over the policy step [m/s^2]."""
+    action: Tensor
+    """(n, joints) the action just applied, in units of the action scale."""
+    previous_action: Tensor
+    """(n, joints) the action before it."""
+    crash_contacts: Tensor
+    """(n,) contacts of bodies that must not touch anything."""
+    collision_contacts: Tensor
+    """(n,) thighs and shanks in contact, the paper's N_c."""
+    foot_contacts: Tensor
+    """(n, feet) contacts of each foot."""
+    heights_w: Tensor
+    """(n, points) ground height under each point of the yaw-aligned grid around the base [m]."""
+    fall_height: Tensor
+    """(n,) a base lower than this has fallen into a hole [m]."""
+
+
+@dataclass
+class Command:
+    """Where to be, and how much time is left."""
+
+    target_w: Tensor
+    """(n, 3) wanted position of the base [m]."""
+    time_left_s: Tensor
+    """(n,) until the episode ends [s]."""
+    start_distance: Tensor
+    """(n,) distance to the target when it was given [m]."""
+    counts: Tensor
+    """(n,) bool: reaching this target means having crossed the terrain."""

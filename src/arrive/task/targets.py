@@ -1,0 +1,61 @@
+"""Where robots are sent: uniform in polar coordinates around the start, on ground where a target may stand."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from arrive.config import TaskConfig
+from arrive.errors import ArriveError
+from arrive.task.heights import look_up
+from arrive.terrain.pool import Rasters
+
+MAX_TRIES = 32
+"""Candidates drawn per target. Terrain is built so that at least a fifth of them are valid, so all failing has odds
+of 0.8^32, one in a thousand; the last valid resort is then the tile's own list of valid points."""
+
+
+def sample_targets(
+    rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TaskConfig, generator: torch.Generator
+) -> Tensor:
+    """Draw a valid target for each robot (paper, section Episode Process).
+
+    Args:
+        tile_ids: (n,) rasters of the robots' tiles.
+        start_w: (n, 3) positions of the bases at the start [m].
+
+    Returns:
+        (n, 3) targets, `target_height` above the ground [m].
+    """
+    shape = (len(tile_ids), MAX_TRIES)
+    low, high = config.target_distance
+    device = start_w.device
+    radius = low + (high - low) * torch.rand(shape, generator=generator, device=device)
+    angle = 2.0 * math.pi * torch.rand(shape, generator=generator, device=device)
+    offset = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], dim=-1)
+    candidates = start_w[:, None, :2] + offset
+    valid = look_up(rasters.target_valid, tile_ids, candidates)
+    # The first valid candidate; argmax of a bool row is its first True.
+    chosen = valid.to(torch.uint8).argmax(-1)
+    targets = candidates[torch.arange(len(tile_ids), device=device), chosen]
+    none = ~valid.any(-1)
+    if none.any():
+        targets[none] = _any_valid(rasters, tile_ids[none], start_w[none], config)
+    ground = look_up(rasters.heights, tile_ids, targets.unsqueeze(1)).squeeze(1)
+    return torch.cat([targets, (ground + config.target_height).unsqueeze(-1)], dim=-1)
+
+
+def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TaskConfig) -> Tensor:
+    """(n, 2) the first valid point of a fine polar sweep, for the robots whose draws all failed."""
+    device = start_w.device
+    radius, angle = torch.meshgrid(
+        torch.linspace(config.target_distance[1], config.target_distance[0], 41, device=device),
+        torch.linspace(0.0, 2.0 * math.pi, 73, device=device),
+        indexing="ij",
+    )
+    sweep = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], dim=-1).view(1, -1, 2)
+    candidates = start_w[:, None, :2] + sweep
+    valid = look_up(rasters.target_valid, tile_ids, candidates)
+    if not valid.any(-1).all():
+        raise ArriveError("a terrain tile offers no valid target within the target distance")
+    return candidates[torch.arange(len(tile_ids), device=device), valid.to(torch.uint8).argmax(-1)]

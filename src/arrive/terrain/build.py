@@ -1,0 +1,68 @@
+"""Tiles that are checked where they are built, so that no broken one reaches the training loop."""
+
+import numpy as np
+
+from arrive.errors import ArriveError
+from arrive.terrain.family import Family, Layout
+from arrive.terrain.rasterise import DEEP_FLOOR, cell_grid
+from arrive.terrain.tile import MAX_GEOMS, Tile, cell_index
+
+TARGET_RADIUS = (1.0, 5.0)
+"""Training targets are uniform in this radius [m] and in angle (paper, section Episode Process)."""
+EVALUATION_TARGET = (5.0, 0.0)
+"""Target of the evaluation layout [m] (paper, section Maximum Terrain Difficulty)."""
+START_RADIUS = 0.4
+"""The ground is level this far around the start [m]."""
+MIN_VALID_SHARE = 0.25
+"""Least share of the training targets that must be valid, or re-sampling gets slow."""
+MIN_CROSSING_SHARE = 0.1
+"""Least share that must be valid and count as crossing, or the curriculum gets no evidence."""
+
+
+def build_tile(family: Family, value: float, rng: np.random.Generator, layout: Layout) -> Tile:
+    """Build a tile of the family and check it.
+
+    Raises:
+        ArriveError: too many geoms, cells without ground, a start that is not level at height zero, or too few valid
+            targets; the message names the family and the value.
+    """
+    tile = family.build(value, rng, layout)
+    problem = _ground_problem(tile) or _target_problem(tile, layout)
+    if problem:
+        parameter = f"{family.parameter} {value:g} {family.unit}".strip()
+        raise ArriveError(f"terrain {family.name!r} with {parameter} ({layout} layout): {problem}")
+    return tile
+
+
+def _ground_problem(tile: Tile) -> str:
+    """What is wrong with the shapes, or an empty string."""
+    num_geoms = len(tile.boxes) + (tile.height_field is not None)
+    if num_geoms > MAX_GEOMS:
+        return f"it has {num_geoms} geoms, at most {MAX_GEOMS} fit"
+    if not (tile.heights > DEEP_FLOOR).all():
+        return f"{(tile.heights <= DEEP_FLOOR).sum()} cells of the raster have no ground"
+    x, y = cell_grid()
+    start = tile.heights[np.hypot(x, y) <= START_RADIUS]
+    if np.abs(start).max() > 1e-6:
+        return f"the ground at the start is between {start.min():.3f} and {start.max():.3f} m high instead of 0"
+    return ""
+
+
+def _target_problem(tile: Tile, layout: Layout) -> str:
+    """What is wrong with the targets, or an empty string."""
+    counting = tile.target_valid & tile.crossing
+    if layout == "evaluation":
+        i, j = (cell_index(np.array(coordinate)) for coordinate in EVALUATION_TARGET)
+        return "" if counting[i, j] else f"the target {EVALUATION_TARGET} is not valid or crosses nothing"
+    if (share := target_share(tile.target_valid)) < MIN_VALID_SHARE:
+        return f"{share:.1%} of the targets are valid, at least {MIN_VALID_SHARE:.0%} must be"
+    if (share := target_share(counting)) < MIN_CROSSING_SHARE:
+        return f"{share:.1%} of the targets are valid and cross it, at least {MIN_CROSSING_SHARE:.0%} must be"
+    return ""
+
+
+def target_share(mask: np.ndarray) -> float:
+    """Share of the training targets, uniform in radius and angle, whose cell is in `mask`."""
+    radius = np.linspace(*TARGET_RADIUS, 41)[:, None]
+    angle = np.linspace(0.0, 2 * np.pi, 120, endpoint=False)[None, :]
+    return float(mask[cell_index(radius * np.cos(angle)), cell_index(radius * np.sin(angle))].mean())

@@ -1,0 +1,32 @@
+"""Climb out of a pit too deep to step out of (paper, section Terrains)."""
+
+import numpy as np
+
+from arrive.terrain.family import Family, Layout
+from arrive.terrain.rasterise import assemble, beyond_x, dilate, inside_square
+from arrive.terrain.shapes import EARTH, GROUND_HALF, START, WHOLE, block, frame, square
+from arrive.terrain.tile import Tile
+
+FLOOR_HALF = 1.5
+"""Half the edge of the square floor in training [m]: a 1.1 m long robot can turn on it."""
+EVALUATION_WALL_X = 2.0
+"""x of the wall in the evaluation layout [m], across the whole width."""
+EDGE_MARGIN = 0.35
+"""Targets nearer to the wall than this, above or below, are invalid [m]: the robot cannot stand astride it."""
+
+
+def build(depth: float, rng: np.random.Generator, layout: Layout) -> Tile:
+    """A floor and higher ground around (training) or ahead (evaluation); crossing means standing up there."""
+    if layout == "training":
+        boxes = [square(FLOOR_HALF, 0.0), *frame(FLOOR_HALF, GROUND_HALF, depth)]
+        outside = ~inside_square(FLOOR_HALF)
+    else:
+        floor, ground = (-GROUND_HALF, EVALUATION_WALL_X), (EVALUATION_WALL_X, GROUND_HALF)
+        boxes = [block(floor, WHOLE, 0.0), block(ground, WHOLE, depth)]
+        outside = beyond_x(EVALUATION_WALL_X)
+    near_wall = dilate(outside, EDGE_MARGIN) & dilate(~outside, EDGE_MARGIN)
+    palette = [START] + [EARTH] * (len(boxes) - 1)
+    return assemble(boxes, palette, target_valid=~near_wall, crossing=outside)
+
+
+PIT = Family("pit", "a pit to climb out of", "depth", "m", 0.05, 1.1, build, random=False)

@@ -1,0 +1,62 @@
+"""Stairs, up and down (paper, table of maximum difficulty: parameter `rise`)."""
+
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from arrive.terrain.family import Family, Layout
+from arrive.terrain.rasterise import assemble, beyond_x, inside_square
+from arrive.terrain.shapes import DARK, EVALUATION_START, GROUND_HALF, LIGHT, START, WHOLE, block, frame, square
+from arrive.terrain.tile import Box, Tile
+
+TREAD = 0.31
+"""Depth of a step [m] (legged_gym's pyramid stairs)."""
+PLATFORM_HALF = 1.0
+"""Half the edge of the square in the middle in training [m]."""
+TRAINING_STEPS = 15
+"""Steps around the platform; the last begins 5.34 m out, so that every target up to 5 m lies on a tread."""
+EVALUATION_STEPS = 13
+"""Steps of the evaluation layout: 13 treads are 4.03 m."""
+
+
+def build(rise: float, rng: np.random.Generator, layout: Layout, direction: int) -> Tile:
+    """Square rings of steps outwards (training) or a flight along +x (evaluation), up (+1) or down (-1).
+
+    Every target is valid; crossing means standing on a step.
+    """
+    if layout == "training":
+        rings = _rings(rise, direction)
+        on_steps = ~inside_square(PLATFORM_HALF)
+    else:
+        rings = _flight(direction * rise)
+        on_steps = beyond_x(EVALUATION_START)
+    boxes = [box for ring in rings for box in ring]
+    palette = [_colour(k) for k, ring in enumerate(rings) for _ in ring]
+    return assemble(boxes, palette, crossing=on_steps)
+
+
+def _rings(rise: float, direction: int) -> list[list[Box]]:
+    """The platform and its rings of steps: frames where they rise, nested squares where they fall."""
+    edges = [PLATFORM_HALF + k * TREAD for k in range(TRAINING_STEPS)] + [GROUND_HALF]
+    if direction < 0:
+        return [[square(edge, -k * rise)] for k, edge in enumerate(edges)]
+    steps = [frame(inner, outer, (k + 1) * rise) for k, (inner, outer) in enumerate(pairwise(edges))]
+    return [[square(PLATFORM_HALF, 0.0)], *steps]
+
+
+def _flight(height_per_step: float) -> list[list[Box]]:
+    """The ground before the flight and its steps; the last is the landing."""
+    edges = [EVALUATION_START + k * TREAD for k in range(EVALUATION_STEPS)]
+    intervals = pairwise([-GROUND_HALF, *edges, GROUND_HALF])
+    return [[block(interval, WHOLE, k * height_per_step)] for k, interval in enumerate(intervals)]
+
+
+def _colour(step: int) -> tuple[float, float, float]:
+    if step == 0:
+        return START
+    return DARK if step % 2 else LIGHT
+
+
+STAIRS = Family("stairs", "stairs up", "rise", "m", 0.05, 0.45, partial(build, direction=1), random=False)
+STAIRS_DOWN = Family("stairs_down", "stairs down", "rise", "m", 0.05, 0.45, partial(build, direction=-1), random=False)

@@ -1,0 +1,90 @@
+"""Random rectangular steps (paper, table of maximum difficulty: random steps, parameter +-height)."""
+
+import numpy as np
+
+from arrive.terrain.family import Family, Layout
+from arrive.terrain.rasterise import assemble
+from arrive.terrain.shapes import (
+    ACCENT,
+    DARK,
+    EVALUATION_END,
+    EVALUATION_START,
+    GROUND_HALF,
+    LIGHT,
+    START,
+    WHOLE,
+    block,
+    frame,
+    square,
+)
+from arrive.terrain.tile import Tile
+
+Rectangle = tuple[float, float, float, float]
+"""x from, x to, y from, y to [m]."""
+
+PLATFORM_HALF = 0.8
+"""Half the edge of the level square in the middle in training [m]."""
+TRAINING_HALF = 5.6
+"""Half the edge of the square that is cut into steps in training [m]; level ground lies beyond."""
+TRAINING_STEPS = 58
+"""Steps around the platform: 2.1 m^2 each on average, as legged_gym's rectangles of 1 to 2 m by 1 to 2 m."""
+EVALUATION_STEPS = 31
+"""Steps of the evaluation layout, of the same average size."""
+CUT = (0.35, 0.65)
+"""A rectangle is cut across its longer side at a fraction of it drawn from this range."""
+
+
+def build(height: float, rng: np.random.Generator, layout: Layout) -> Tile:
+    """Rectangles at heights drawn from {-h, -h/2, 0, h/2, h}, so that neighbours differ by up to 2 h.
+
+    These are legged_gym's heights and, as here the steps leave no ground between them, zero. Every target is valid
+    and counts as crossing, wherever it is.
+    """
+    if layout == "training":
+        fixed = [square(PLATFORM_HALF, 0.0), *frame(TRAINING_HALF, GROUND_HALF, 0.0)]
+        steps = partition(_pinwheel(rng), TRAINING_STEPS, rng)
+    else:
+        fixed = [block((-GROUND_HALF, EVALUATION_START), WHOLE, 0.0), block((EVALUATION_END, GROUND_HALF), WHOLE, 0.0)]
+        steps = partition([(EVALUATION_START, EVALUATION_END, *WHOLE)], EVALUATION_STEPS, rng)
+    multiples = rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], size=len(steps))
+    boxes = [block(step[:2], step[2:], m * height) for step, m in zip(steps, multiples, strict=True)]
+    palette = [START] * len(fixed) + [_colour(m) for m in multiples]
+    return assemble([*fixed, *boxes], palette)
+
+
+def _pinwheel(rng: np.random.Generator) -> list[Rectangle]:
+    """Four equal rectangles around the platform, turning in a random sense."""
+    p, q = PLATFORM_HALF, TRAINING_HALF
+    east, north, west, south = (p, q, -p, q), (-q, p, p, q), (-q, -p, -q, p), (-p, q, -q, -p)
+    wheel = [east, north, west, south]
+    return wheel if rng.random() < 0.5 else [(y0, y1, x0, x1) for x0, x1, y0, y1 in wheel]
+
+
+def partition(rectangles: list[Rectangle], count: int, rng: np.random.Generator) -> list[Rectangle]:
+    """Cut the largest rectangle in two, again and again, until there are `count`."""
+    rectangles = list(rectangles)
+    while len(rectangles) < count:
+        largest = max(range(len(rectangles)), key=lambda k: _area(rectangles[k]))
+        x0, x1, y0, y1 = rectangles.pop(largest)
+        fraction = rng.uniform(*CUT)
+        if x1 - x0 > y1 - y0:
+            cut = x0 + fraction * (x1 - x0)
+            rectangles += [(x0, cut, y0, y1), (cut, x1, y0, y1)]
+        else:
+            cut = y0 + fraction * (y1 - y0)
+            rectangles += [(x0, x1, y0, cut), (x0, x1, cut, y1)]
+    return rectangles
+
+
+def _area(rectangle: Rectangle) -> float:
+    x0, x1, y0, y1 = rectangle
+    return (x1 - x0) * (y1 - y0)
+
+
+def _colour(multiple: float) -> tuple[float, float, float]:
+    if multiple == 0.0:
+        return LIGHT
+    return ACCENT if multiple > 0 else DARK
+
+
+STEPS = Family("steps", "random rectangular steps", "height", "m", 0.02, 0.25, build, random=True)
