@@ -228,14 +228,13 @@ def test_mirrored_robot_behaves_like_the_mirror_image(flat_model):
 
 
 def test_stands_still_at_the_default_pose(flat_model):
-    """Under PD it sags a little in the first second and then stays: less than 1.5 mm/s of creep in soft contacts."""
+    """Under PD it sags a little in the first second and then stays where it is for five."""
     data = standing(flat_model)
     mujoco.mj_step(flat_model, data, 200)
     start = data.qpos.copy()
     assert ROBOT.standing_height - start[2] < 0.05
     mujoco.mj_step(flat_model, data, 1000)
-    assert np.linalg.norm(data.qpos[:2] - start[:2]) < 0.002
-    assert abs(data.qpos[2] - start[2]) < 0.0075
+    assert np.linalg.norm(data.qpos[:3] - start[:3]) < 0.002
     assert np.abs(data.qvel).max() < 0.01
     assert data.qpos[3] > 0.999
 
