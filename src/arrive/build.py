@@ -14,6 +14,7 @@ from arrive.robots import get_robot
 from arrive.task.registry import get_task
 from arrive.terrain import Layout, get_family
 from arrive.terrain.pool import build_pool, level_values
+from arrive.validate import validate
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,7 @@ def build_env(
     Raises:
         ArriveError: the configuration names something unknown or asks for nothing.
     """
-    if config.num_envs < 1:
-        raise ArriveError(f"num_envs must be at least 1, not {config.num_envs}")
+    validate(config)
     robot = get_robot(config.robot)
     families = [get_family(name) for name in config.terrain.families]
     if config.num_envs < len(families):

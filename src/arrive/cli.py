@@ -16,8 +16,8 @@ class Train:
 
     terrain: tyro.conf.Positional[str]
     """Terrain family, several joined by commas, or `all`."""
-    preset: str = "robust"
-    """Named configuration, see `arrive list`."""
+    preset: str | None = None
+    """Named configuration, see `arrive list`; `robust` by default."""
     task: str | None = None
     """Named task, see `arrive list`; the preset's own by default."""
     minutes: float | None = None
@@ -26,8 +26,8 @@ class Train:
     """Training iterations since the run began."""
     num_envs: int | None = None
     """Robots simulated side by side; the preset's own number by default."""
-    seed: int = 1
-    """Seed of networks, terrain and everything random."""
+    seed: int | None = None
+    """Seed of networks, terrain and everything random; 1 by default."""
     threads: int = 0
     """CPU threads for physics and learning; 0 takes every CPU."""
     resume: Path | None = None

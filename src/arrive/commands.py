@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,10 +32,12 @@ from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS, get_task
 from arrive.task.rewards import CRASH_COST, REWARDS
 from arrive.terrain import FAMILIES, parse_families
+from arrive.validate import validate
 
 if TYPE_CHECKING:
     from arrive.cli import Eval, List, Train
 
+DEFAULT_PRESET = "robust"
 DEFAULT_MINUTES = 40.0
 """Training budget where none is given [min]."""
 
@@ -49,6 +52,8 @@ def train(command: Train) -> None:
         env = build_env(config, threads=threads, progress=lambda i, n: bar.update(worlds, completed=i, total=n))
     trainer = Trainer(config, env, folder)
     log = RunLog(folder)
+    if not command.resume:
+        write_config(folder, config)
     if command.resume:
         trainer.load()
         log.truncate_after(trainer.iteration)
@@ -70,6 +75,8 @@ def train(command: Train) -> None:
 
 def _use_threads(threads: int) -> int:
     """Give torch as many threads as physics; MuJoCo's and torch's threads take turns."""
+    if threads < 0:
+        raise ArriveError(f"--threads must be 0 or more, not {threads}")
     threads = threads or len(os.sched_getaffinity(0))
     torch.set_num_threads(threads)
     return threads
@@ -77,7 +84,7 @@ def _use_threads(threads: int) -> int:
 
 def _budget(command: Train) -> tuple[float | None, int | None]:
     for name, value in (("minutes", command.minutes), ("iterations", command.iterations)):
-        if value is not None and value <= 0:
+        if value is not None and not 0 < value < math.inf:
             raise ArriveError(f"--{name} must be positive, not {value}")
     if command.minutes is None and command.iterations is None:
         return DEFAULT_MINUTES, None
@@ -85,20 +92,20 @@ def _budget(command: Train) -> tuple[float | None, int | None]:
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:
-    config = get_preset(command.preset)
+    config = get_preset(command.preset or DEFAULT_PRESET)
     names = tuple(family.name for family in parse_families(command.terrain))
-    changes: dict = {"terrain": dataclasses.replace(config.terrain, families=names), "seed": command.seed}
+    changes: dict = {
+        "terrain": dataclasses.replace(config.terrain, families=names),
+        "seed": 1 if command.seed is None else command.seed,
+    }
     if command.task is not None:
         get_task(command.task)
         changes["task"] = dataclasses.replace(config.task, name=command.task)
     if command.num_envs is not None:
         changes["num_envs"] = command.num_envs
     config = override(dataclasses.replace(config, **changes), command.set)
-    if config.num_envs < 1:
-        raise ArriveError(f"num_envs must be at least 1, not {config.num_envs}")
-    folder = new_run_folder(config, command.out)
-    write_config(folder, config)
-    return config, folder
+    validate(config)
+    return config, new_run_folder(config, command.out)
 
 
 def _resumed(command: Train) -> tuple[Config, Path]:
@@ -108,8 +115,12 @@ def _resumed(command: Train) -> tuple[Config, Path]:
     names = tuple(family.name for family in parse_families(command.terrain))
     if names != config.terrain.families:
         raise ArriveError(f"{folder} trains on {','.join(config.terrain.families)}, not {command.terrain}")
-    if command.set or command.num_envs or command.start_from or command.out:
-        raise ArriveError("a resumed run keeps its configuration: --resume goes without --set, --num-envs, --out")
+    present = {"preset": config.preset, "task": config.task.name, "num_envs": config.num_envs, "seed": config.seed}
+    changed = [name for name, value in present.items() if getattr(command, name) not in (None, value)]
+    changed += [name for name in ("set", "start_from", "out") if getattr(command, name)]
+    if changed:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+        raise ArriveError(f"a resumed run keeps its configuration: --resume goes without another {flags}")
     return config, folder
 
 

@@ -4,7 +4,7 @@ import dataclasses
 import json
 import types
 from dataclasses import dataclass, field
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from arrive.errors import ArriveError, unknown_name
 from arrive.physics.options import PhysicsConfig
@@ -79,13 +79,13 @@ class TaskConfig:
     rewards: dict[str, float] = field(default_factory=dict)
     """Weight of each reward term, by name; costs have negative weights."""
     exploration_until: float = 0.5
-    """The exploration reward goes once the task reward, inside its window, reaches this share of its maximum."""
+    """`exploration` and `approach` go once the task reward, inside its window, reaches this share of its maximum."""
     exploration_kept: float = 0.0
-    """Share of the exploration reward that stays after that."""
+    """Share of the exploration rewards that stays after that."""
     approach_speed: float = 1.0
     """Speed towards the target at which the `approach` reward saturates [m/s]."""
-    demotion: str = "any"
-    """Which failures lower the level: `any`, or `far` (only when more than half of the way was left)."""
+    demotion: Literal["any", "far"] = "any"
+    """Which failures lower the level: `any`, or `far` (crash, fall, or more than half of the way left)."""
     bootstrap_timeouts: bool = False
     """Whether the value at a time-out is bootstrapped as if the episode went on; the paper argues against it."""
 
@@ -207,6 +207,8 @@ def _parse(text: str) -> Any:
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:
+    if (dataclasses.is_dataclass(hint) or get_origin(hint) is dict) and not isinstance(value, dict):
+        raise ArriveError(f"{where} has fields of its own, it cannot be {value!r}")
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value, f"{where}.")
     origin = get_origin(hint)

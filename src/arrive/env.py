@@ -14,7 +14,7 @@ from arrive.robots.robot import Robot
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
 from arrive.task.heights import HeightGrid, heading_points, look_up
 from arrive.task.observations import Observer
-from arrive.task.rewards import CRASH_COST
+from arrive.task.rewards import CRASH_COST, EXPLORATION_REWARDS
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.task.state import State
 from arrive.task.task import Outcome, Start, Task
@@ -207,7 +207,7 @@ class ArriveEnv(VecEnv):
         command, dt = self.task.command, self.control_dt
         terms: dict[str, Tensor] = {}
         for name, (function, weight) in self._terms.items():
-            factor = self.exploration.factor if name == "exploration" else 1.0
+            factor = self.exploration.factor if name in EXPLORATION_REWARDS else 1.0
             terms[name] = function(state, command, self.config.task) * (weight * factor * dt)
         if CRASH_COST in self.config.task.rewards:
             terms[CRASH_COST] = self._failed * self.config.task.rewards[CRASH_COST]
@@ -310,7 +310,7 @@ class ArriveEnv(VecEnv):
         self.task.load_state_dict(state["task"])
         for name, value in self._buffers.items():
             value.copy_(state["buffers"][name])
-        self.curriculum.levels.copy_(state["levels"])
+        self.curriculum.levels = state["levels"].clone()
         self.exploration.load_state_dict(state["exploration"])
         self.episode_length_buf.copy_(state["episode_length"])
         self._generator.set_state(state["generator"])

@@ -80,11 +80,16 @@ def cells_of(config: Config, families: Sequence[Family], level: int | None) -> l
     cells = []
     for family in families:
         values = level_values(family, config.terrain.levels)
-        if level is not None and not 0 <= level < len(values):
-            raise ArriveError(f"level {level} of {family.name} is out of range: levels are 0 to {len(values) - 1}")
-        chosen = range(len(values)) if level is None else [level]
+        chosen = range(len(values)) if level is None else [_checked(level, family, config.terrain.levels, len(values))]
         cells += [Cell(family, i, values[i]) for i in chosen]
     return cells
+
+
+def _checked(level: int, family: Family, num_levels: int, available: int) -> int:
+    """The level, or the only one of a family that has no other."""
+    if not 0 <= level < num_levels:
+        raise ArriveError(f"level {level} of {family.name} is out of range: levels are 0 to {num_levels - 1}")
+    return min(level, available - 1)
 
 
 def evaluate(
@@ -148,7 +153,8 @@ def _environment(config: Config, cells: Sequence[Cell], part: Tensor, seed: int,
 def _one_per_cell(part: Tensor, known: dict[int, Episode]) -> Tensor:
     """The first robot of every cell that has no picture yet."""
     cells, first = np.unique(part.numpy(), return_index=True)
-    return torch.tensor([i for cell, i in zip(cells.tolist(), first.tolist(), strict=True) if cell not in known])
+    new = [i for cell, i in zip(cells.tolist(), first.tolist(), strict=True) if cell not in known]
+    return torch.tensor(new, dtype=torch.long)
 
 
 def _tabulate(cells: Sequence[Cell], cell_of_episode: Tensor, played: Sequence[Played]) -> list[CellResult]:

@@ -27,12 +27,28 @@ class RunLog:
         self._columns: list[str] = ["iteration"]
         self._events: SummaryWriter | None = None
         self._purge_step: int | None = None
+        self._last = -1
         if self._path.exists():
             self._columns, rows = _read_rows(self._path)
             self._rewrite(rows)  # without the half line that a killed process may have left
 
     def write(self, report: IterationReport) -> None:
-        """Append one iteration; a figure seen for the first time becomes a new column, empty in earlier rows."""
+        """Append one iteration; a figure seen for the first time becomes a new column, empty in earlier rows.
+
+        An iteration not after the last one means that training went back: what was logged since is dropped.
+
+        Raises:
+            ArriveError: the disk is full or the folder cannot be written.
+        """
+        try:
+            if report.iteration <= self._last:
+                self.truncate_after(report.iteration - 1)
+            self._append(report)
+        except OSError as error:
+            raise ArriveError(f"cannot log to {self._folder}: {error}. Free some space and resume.") from error
+        self._last = report.iteration
+
+    def _append(self, report: IterationReport) -> None:
         scalars = report.scalars()
         row = {"iteration": str(report.iteration)} | {name: repr(float(value)) for name, value in scalars.items()}
         new_columns = [name for name in row if name not in self._columns]

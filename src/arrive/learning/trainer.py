@@ -20,6 +20,7 @@ from arrive.learning.checkpoint import (
     save_atomically,
 )
 from arrive.learning.guard import NonFiniteError, check_losses, check_terms, finite_sum, save_dump
+from arrive.learning.interrupt import interruptible
 from arrive.learning.ppo import make_ppo
 from arrive.learning.report import IterationReport
 from arrive.learning.rundir import commit
@@ -28,7 +29,7 @@ from arrive.learning.statistics import TrainingStatistics
 CHECKPOINT_INTERVAL_S = 120.0
 """Time between checkpoints [s]."""
 MAX_RECOVERIES = 3
-"""Times in a row that training goes back to the last good state before it gives up."""
+"""Times that training goes back to the last good state, without a new one, before it gives up."""
 
 Reporter = Callable[[IterationReport], None]
 
@@ -56,11 +57,13 @@ class Trainer:
     ) -> None:
         """Train until the budget is spent: minutes or iterations since the run began, whichever comes first.
 
-        A keyboard interrupt saves and returns.
+        Ctrl-C and SIGTERM end it after the iteration in progress. It saves at the start too, so that a run that is
+        killed can always be resumed.
         """
+        self.save()
         saved_at = time.monotonic()
-        try:
-            while self._budget(minutes, iterations) < 1.0:
+        with interruptible() as interrupted:
+            while self._budget(minutes, iterations) < 1.0 and not interrupted():
                 result = self._guarded_iteration()
                 if result is None:
                     continue
@@ -68,8 +71,6 @@ class Trainer:
                 if time.monotonic() - saved_at > save_interval_s:
                     self.save()
                     saved_at = time.monotonic()
-        except KeyboardInterrupt:
-            pass
         self.save()
 
     def _budget(self, minutes: float | None, iterations: int | None) -> float:
@@ -82,8 +83,7 @@ class Trainer:
         """One iteration; None where it met a number that is none and went back to the last good state."""
         start = time.monotonic()
         try:
-            rewards = self._collect()
-            losses = self._learn()
+            rewards, losses = self._collect_and_learn()
         except NonFiniteError as error:
             self._recover(error)
             return None
@@ -91,8 +91,15 @@ class Trainer:
         self.iteration += 1
         self.samples += self.env.num_envs * self.config.ppo.num_steps
         self.elapsed_s += seconds
-        self._recoveries = 0
         return rewards, losses, seconds
+
+    def _collect_and_learn(self) -> tuple[dict[str, float], dict[str, float]]:
+        try:
+            return self._collect(), self._learn()
+        except RuntimeError:
+            # Torch refuses to draw actions where a mean or deviation is NaN, before any check of ours.
+            check_losses({}, self._parameters())
+            raise
 
     @torch.inference_mode()
     def _collect(self) -> dict[str, float]:
@@ -117,11 +124,13 @@ class Trainer:
 
     def _learn(self) -> dict[str, float]:
         losses = self.algorithm.update()
-        actor, critic = self.algorithm.get_policy(), self.algorithm.critic
-        parameters = {f"actor {n}": p for n, p in actor.named_parameters()}
-        check_losses(losses, parameters | {f"critic {n}": p for n, p in critic.named_parameters()})
-        std = float(actor.distribution.log_std_param.detach().exp().mean())
+        check_losses(losses, self._parameters())
+        std = float(self.algorithm.get_policy().distribution.log_std_param.detach().exp().mean())
         return losses | {"learning_rate": self.algorithm.learning_rate, "action_std": std}
+
+    def _parameters(self) -> dict[str, torch.Tensor]:
+        networks = {"actor": self.algorithm.get_policy(), "critic": self.algorithm.critic}
+        return {f"{name} {n}": value for name, network in networks.items() for n, value in network.named_parameters()}
 
     def _recover(self, error: NonFiniteError) -> None:
         """Dump, go back, and draw other random numbers from there."""
@@ -197,7 +206,7 @@ class Trainer:
 
     def save(self) -> None:
         """Write checkpoint and policy; this state is then the one to go back to."""
-        self._good = self._snapshot()
+        self._good, self._recoveries = self._snapshot(), 0
         description = self._description()
         save_atomically(description | {"state": self._good}, self.folder / CHECKPOINT_NAME)
         actor = self._good["algorithm"]["actor_state_dict"]
@@ -211,6 +220,8 @@ class Trainer:
         """
         path = self.folder / CHECKPOINT_NAME
         content = self._load_matching(path)
+        if "state" not in content:
+            raise ArriveError(f"{path} is a policy, not a training checkpoint; it cannot be resumed")
         if content["config"] != to_dict(self.config):
             raise ArriveError(f"{path} was made with another configuration than {self.folder}/config.json")
         self._restore(content["state"])
@@ -219,7 +230,10 @@ class Trainer:
     def warm_start(self, path: Path) -> None:
         """Take networks and optimiser from another run's checkpoint, and nothing else."""
         content = self._load_matching(path)
-        self.algorithm.load(content["state"]["algorithm"], None, True)
+        try:
+            self.algorithm.load(content["state"]["algorithm"], None, True)
+        except (KeyError, RuntimeError) as error:
+            raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
 
     def _load_matching(self, path: Path) -> dict:
         content = load_checked(path)

@@ -83,7 +83,7 @@ def compile_world(
     """Compile the robot on a tile.
 
     Args:
-        friction: sliding friction coefficient of every contact.
+        friction: sliding friction coefficient of every contact (see `PhysicsConfig.cone`).
         payload_kg: mass added to the base at its centre of mass, may be negative [kg].
     """
     spec = world_spec(robot, tile, config, visuals)

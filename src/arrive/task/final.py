@@ -7,14 +7,11 @@ from arrive.config import Config
 from arrive.robots.robot import Robot
 from arrive.task.heights import look_up
 from arrive.task.observations import ObservationTerm, observation_terms
-from arrive.task.rewards import REWARDS, RewardFunction, distance_to_target
+from arrive.task.rewards import REWARDS, STALL_SPEED, RewardFunction, distance_to_target
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
 from arrive.task.task import Outcome, Start
 from arrive.terrain.pool import Rasters
-
-STALLED_SPEED = 0.1
-"""A robot slower than this when time ran out stood still [m/s]."""
 
 
 class FinalPositionTask:
@@ -35,6 +32,7 @@ class FinalPositionTask:
             fixed_target: horizontal position of every target in the tile's frame, instead of drawing them [m].
         """
         self._config = config.task
+        self._dt = config.physics.control_dt
         self._observation = config.observation
         self._rasters = rasters
         self._generator = generator
@@ -67,7 +65,9 @@ class FinalPositionTask:
             command.time_left_s[ids] = config.episode_s * draw
             command.counts[ids] = False
         else:
-            command.time_left_s[ids] = config.episode_min_s + (config.episode_s - config.episode_min_s) * draw
+            length = config.episode_min_s + (config.episode_s - config.episode_min_s) * draw
+            # Whole policy steps, so that the reward window has the same number of them in every episode.
+            command.time_left_s[ids] = (length / self._dt).round() * self._dt
             command.counts[ids] = crossing
 
     def _targets(self, start: Start) -> Tensor:
@@ -86,7 +86,7 @@ class FinalPositionTask:
         distance = distance_to_target(state, self._command)
         failed = crashed | fell
         success = (distance < self._config.arrival_radius) & ~failed
-        slow = state.base_lin_vel_w.norm(dim=-1) < STALLED_SPEED
+        slow = state.base_lin_vel_w.norm(dim=-1) < STALL_SPEED
         far = distance > 0.5 * self._command.start_distance
         lost = ~success & (far | failed) if self._config.demotion == "far" else ~success
         return Outcome(

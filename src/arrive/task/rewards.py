@@ -89,10 +89,10 @@ def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
 
 
 def stand(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Standing in the default pose at the target during the reward window. Not in the paper.
+    """Standing still at the target during the reward window. Not in the paper.
 
     Returns:
-        (n,) rate [1/s]: 1/T_r * exp(-|v|) within the arrival radius, its integral at most 1.
+        (n,) rate [1/s]: 1/T_r * exp(-2 |v|) within the arrival radius, v the base's velocity; its integral at most 1.
     """
     here = (distance_to_target(state, command) < config.arrival_radius) & in_window(command, config.reward_window_s)
     return here * torch.exp(-2.0 * state.base_lin_vel_w.norm(dim=-1)) / config.reward_window_s
@@ -118,5 +118,7 @@ REWARDS: dict[str, RewardFunction] = {
     "stand": stand,
     "tilt_cost": tilt_cost,
 }
+EXPLORATION_REWARDS = ("exploration", "approach")
+"""Terms that lead the way to the target and are removed, or weakened, once it is found."""
 CRASH_COST = "crash_cost"
 """Paid once, at a crash, its weight not multiplied by the time step."""

@@ -11,8 +11,8 @@ from arrive.task.heights import look_up
 from arrive.terrain.pool import Rasters
 
 MAX_TRIES = 32
-"""Candidates drawn per target. Terrain is built so that at least a fifth of them are valid, so all failing has odds
-of 0.8^32, one in a thousand; the last valid resort is then the tile's own list of valid points."""
+"""Candidates drawn per target. At least a quarter of them are valid on any tile that `build_tile` lets pass, so that
+all fail with odds of at most 0.75^32, one in ten thousand; a fixed sweep then finds a valid point."""
 
 
 def sample_targets(

@@ -1,0 +1,272 @@
+"""The CPU engine: accurate, the same at any number of threads, resumable, and deaf to one robot's failure."""
+
+import math
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from arrive.build import Placement, build_env
+from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
+from arrive.env import POLICY, ArriveEnv
+from arrive.physics import PhysicsConfig
+from arrive.physics.cpu import CpuPhysics
+from arrive.physics.world import compile_world
+from arrive.presets import PAPER_REWARDS
+from arrive.robots import get_robot
+from arrive.terrain import FAMILIES, build_tile
+
+ROBOT = get_robot("anymal_c")
+DEFAULT = torch.tensor(ROBOT.default_joint_pos)
+STATES = ("qpos", "qvel", "qacc_warmstart", "ctrl", "time")
+
+
+@cache
+def world(family: str = "flat") -> mujoco.MjModel:
+    kind = FAMILIES[family]
+    tile = build_tile(kind, (kind.lowest + kind.highest) / 2, np.random.default_rng(0), "training")
+    return compile_world(ROBOT, tile, PhysicsConfig())
+
+
+def an_engine(num_envs: int, families: tuple[str, ...] = ("flat",), threads: int = 1) -> CpuPhysics:
+    engine = CpuPhysics(ROBOT, [world(name) for name in families], num_envs, decimation=4, threads=threads)
+    everyone = torch.arange(num_envs)
+    engine.place(everyone, everyone % len(families))
+    engine.reset(everyone, *standing(num_envs, ROBOT.standing_height))
+    return engine
+
+
+def standing(n: int, height: float) -> tuple[Tensor, Tensor]:
+    qpos = torch.zeros(n, 19, dtype=torch.double)
+    qpos[:, 2], qpos[:, 3], qpos[:, 7:] = height, 1.0, DEFAULT
+    return qpos, torch.zeros(n, 18, dtype=torch.double)
+
+
+def momentum(engine: CpuPhysics, env_id: int) -> tuple[np.ndarray, np.ndarray]:
+    """Linear [kg m/s] and angular momentum about the centre of mass [kg m^2/s] of a robot."""
+    model, state = engine.model_of_env(env_id), engine.state_dict()
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = state["qpos"][env_id], state["qvel"][env_id]
+    mujoco.mj_forward(model, data)
+    mujoco.mj_subtreeVel(model, data)
+    base = model.body(ROBOT.base_body).id
+    return data.subtree_linvel[base] * model.body_subtreemass[base], data.subtree_angmom[base].copy()
+
+
+def assert_same(first: CpuPhysics, second: CpuPhysics, envs: list[int] | slice = slice(None)) -> None:
+    a, b = first.state_dict(), second.state_dict()
+    for name in STATES:
+        assert torch.equal(a[name][envs], b[name][envs]), name
+    for name, value in vars(first.read()).items():
+        assert torch.equal(value[envs], vars(second.read())[name][envs]), name
+
+
+class TestAccuracy:
+    def test_a_resting_robot_neither_sinks_nor_creeps(self):
+        """Less than 1 mm deep, 1.5 mm/s of the base, 2 mm/s of the feet, in soft contacts after settling for 3 s."""
+        engine = an_engine(1)
+        for _ in range(150):
+            engine.step(DEFAULT[None])
+        before = engine.read()
+        for _ in range(100):
+            engine.step(DEFAULT[None])
+            readings = engine.read()
+            assert float(readings.foot_vel_w.norm(dim=-1).max()) < 0.002
+            assert float(readings.base_lin_vel_w.norm()) < 0.005
+            assert bool((readings.foot_contacts == 1.0).all())
+        assert float((readings.base_pos_w - before.base_pos_w).norm()) < 2 * 0.0015
+        model = engine.model_of_env(0)
+        data = mujoco.MjData(model)
+        data.qpos[:] = engine.state_dict()["qpos"][0]
+        mujoco.mj_forward(model, data)
+        depth = [0.03 - data.site(site).xpos[2] for site in ROBOT.foot_sites]
+        assert min(depth) > 0.0
+        assert max(depth) < 0.001
+        assert float(readings.crash_contacts) == float(readings.collision_contacts) == 0.0
+
+    def test_momentum_in_free_flight(self):
+        """Motors act inside the robot: in half a second only gravity changes its momentum.
+
+        A 52 kg robot thrown at about 1 m/s and turning at 1 rad/s keeps its momentum within 1 kg m/s (2 %) and its
+        angular momentum within 0.15 kg m^2/s (3 %) while its legs kick at the limits of the motors.
+        """
+        engine, rng = an_engine(4), np.random.default_rng(0)
+        qpos, qvel = standing(4, 20.0)
+        qpos[:, 7:] += torch.from_numpy(rng.normal(0, 0.2, (4, 12)))
+        qvel[:, :6] = torch.from_numpy(rng.normal(0, 1.0, (4, 6)))
+        engine.reset(torch.arange(4), qpos, qvel)
+        before = [momentum(engine, i) for i in range(4)]
+        targets = DEFAULT + torch.from_numpy(rng.normal(0, 0.4, (4, 12))).float()
+        for _ in range(25):
+            engine.step(targets)
+        moved = (engine.state_dict()["qpos"][:, 7:] - qpos[:, 7:]).abs().amax(-1)
+        assert bool((moved > 0.3).all())
+        mass = world().body_subtreemass[world().body(ROBOT.base_body).id]
+        for i in range(4):
+            linear, angular = momentum(engine, i)
+            np.testing.assert_allclose(linear - before[i][0], [0.0, 0.0, -9.81 * mass * 0.5], atol=1.0)
+            np.testing.assert_allclose(angular, before[i][1], atol=0.15)
+        assert not engine.read().foot_contacts.any()
+
+    def test_contacts_are_told_apart_by_body(self):
+        """On its back the base touches, on its feet the feet do, on its knees the four thighs."""
+        engine = an_engine(3)
+        qpos, qvel = standing(3, ROBOT.standing_height)
+        qpos[1, 2:7] = torch.tensor([0.085, 0.0, 1.0, 0.0, 0.0])
+        qpos[2, 2], qpos[2, 7:] = 0.335, torch.tensor([0.0, 0.0, -2.5, 0.0, 0.0, 2.5] * 2)
+        engine.reset(torch.arange(3), qpos, qvel)
+        engine.step(qpos[:, 7:].float())
+        readings = engine.read()
+        assert (readings.crash_contacts > 0).tolist() == [False, True, False]
+        assert readings.foot_contacts[0].bool().all()
+        assert not readings.foot_contacts[1].any()
+        assert not readings.foot_contacts[2].any()
+        assert readings.collision_contacts.tolist() == [0.0, 0.0, 4.0]
+
+    def test_foot_velocity_is_measured_in_the_world(self):
+        """A robot in free fall that moves to the left: the feet move to the left and, after 3 steps of 4, fall."""
+        engine = an_engine(1)
+        qpos, qvel = standing(1, 5.0)
+        qpos[0, 3:7] = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])
+        qvel[0, 1] = 1.5
+        engine.reset(torch.arange(1), qpos, qvel)
+        engine.step(DEFAULT[None])
+        # Sensors are one physics step older than the velocities.
+        expected = torch.tensor([0.0, 1.5, -9.81 * 0.015]).expand(4, 3)
+        torch.testing.assert_close(engine.read().foot_vel_w[0], expected, atol=0.01, rtol=0.0)
+        torch.testing.assert_close(engine.read().base_lin_vel_w[0, 2], torch.tensor(-9.81 * 0.02), atol=0.01, rtol=0.0)
+
+    def test_a_push_adds_velocity_to_the_base(self):
+        engine = an_engine(3)
+        engine.push(torch.tensor([1]), torch.tensor([[0.5, -0.25, 0.0]], dtype=torch.double))
+        expected = torch.tensor([[0.0, 0.0, 0.0], [0.5, -0.25, 0.0], [0.0, 0.0, 0.0]])
+        assert torch.equal(engine.read().base_lin_vel_w, expected)
+        assert not engine.read().joint_vel.any()
+
+
+def disturb(engine: CpuPhysics, step: int, rng: np.random.Generator, num_worlds: int) -> None:
+    """Random joint targets; now and then robots move to other worlds and start again, or are pushed."""
+    n = engine.num_envs
+    if step % 7 == 3:
+        ids = torch.from_numpy(np.flatnonzero(rng.random(n) < 0.4))
+        engine.place(ids, torch.from_numpy(rng.integers(0, num_worlds, len(ids))))
+        qpos, qvel = standing(len(ids), ROBOT.standing_height + 0.05)
+        engine.reset(ids, qpos, qvel + torch.from_numpy(rng.normal(0, 0.3, (len(ids), 18))))
+    if step % 5 == 2:
+        engine.push(torch.tensor([0, n - 1]), torch.from_numpy(rng.normal(0, 0.5, (2, 3))))
+    engine.step(DEFAULT + torch.from_numpy(rng.normal(0, 0.5, (n, 12))).float())
+
+
+MIXED = ("flat", "rough", "stairs", "pit", "gap", "obstacles", "steps", "slope_down")
+
+
+def test_any_number_of_threads_gives_the_same_bits():
+    one, two = an_engine(24, MIXED, threads=1), an_engine(24, MIXED, threads=2)
+    for engine in (one, two):
+        rng = np.random.default_rng(0)
+        for step in range(60):
+            disturb(engine, step, rng, len(MIXED))
+    assert_same(one, two)
+    assert one.read().foot_contacts.any()
+
+
+def test_a_saved_engine_goes_on_with_the_same_bits():
+    engine, other = an_engine(16, MIXED), an_engine(16, MIXED)
+    rng = np.random.default_rng(0)
+    for step in range(25):
+        disturb(engine, step, rng, len(MIXED))
+    for step in range(5):
+        disturb(other, step, np.random.default_rng(9), len(MIXED))
+    saved = {name: value.clone() for name, value in engine.state_dict().items()}
+    kept_rng = np.random.default_rng(0)
+    kept_rng.bit_generator.state = rng.bit_generator.state
+    for step in range(25, 50):
+        disturb(engine, step, rng, len(MIXED))
+    other.load_state_dict(saved)
+    for step in range(25, 50):
+        disturb(other, step, kept_rng, len(MIXED))
+    assert_same(engine, other)
+
+
+def break_qvel(engine: CpuPhysics, env_id: int) -> None:
+    engine.push(torch.tensor([env_id]), torch.full((1, 3), torch.nan, dtype=torch.double))
+
+
+def break_qpos(engine: CpuPhysics, env_id: int) -> None:
+    qpos, qvel = standing(1, torch.nan)
+    engine.reset(torch.tensor([env_id]), qpos, qvel)
+
+
+def explode(engine: CpuPhysics, env_id: int) -> None:
+    engine.push(torch.tensor([env_id]), torch.tensor([[0.0, 0.0, 1e12]], dtype=torch.double))
+
+
+FAULTS = (break_qvel, break_qpos, explode)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_robot_that_diverges_is_reported_and_harms_no_other(fault, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    healthy, faulty = an_engine(8, MIXED, threads=2), an_engine(8, MIXED, threads=2)
+    others = [0, 1, 2, 4, 5, 6, 7]
+    for engine in (healthy, faulty):
+        rng = np.random.default_rng(0)
+        for step in range(10):
+            if step == 5 and engine is faulty:
+                fault(engine, 3)
+            engine.step(DEFAULT + torch.from_numpy(rng.normal(0, 0.5, (8, 12))).float())
+            expected = [not (engine is faulty and step >= 5 and i == 3) for i in range(8)]
+            assert engine.read().finite.tolist() == expected
+    assert_same(healthy, faulty, others)
+
+    for engine in (healthy, faulty):
+        engine.reset(torch.tensor([3]), *standing(1, ROBOT.standing_height))
+        engine.step(DEFAULT.expand(8, 12))
+    assert faulty.read().finite.all()
+    assert_same(healthy, faulty)
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def an_env() -> ArriveEnv:
+    """Six robots in full-length episodes with no chance in their future."""
+    config = Config(
+        num_envs=6,
+        terrain=TerrainConfig(families=("flat", "rough", "stairs"), levels=2, variants=1),
+        observation=ObservationConfig(noise=False),
+        randomisation=RandomisationConfig(push_speed=0.0),
+        task=TaskConfig(rewards=PAPER_REWARDS | {"approach": 1.0, "stand": 1.0, "tilt_cost": -1.0, "crash_cost": -2.0}),
+    )
+    everyone = torch.arange(6)
+    return build_env(config, Placement(assignment=(everyone % 3, torch.zeros(6, dtype=torch.long))), threads=1)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_environment_resets_a_robot_that_diverges_and_goes_on(fault, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    healthy, faulty = an_env(), an_env()
+    others = [0, 1, 3, 4, 5]
+    for step in range(15):
+        if step == 5:
+            fault(faulty.physics, 2)
+        generator = torch.Generator().manual_seed(step)
+        actions = 0.3 * torch.randn(6, 12, generator=generator)
+        (seen, earned, ended, _), (expected, expected_reward, _, _) = (e.step(actions) for e in (faulty, healthy))
+        assert ended.tolist() == [0, 0, int(step == 5), 0, 0, 0]
+        assert faulty.log.diverged == int(step == 5)
+        assert seen[POLICY].isfinite().all()
+        assert earned.isfinite().all()
+        assert torch.equal(seen[POLICY][others], expected[POLICY][others])
+        assert torch.equal(earned[others], expected_reward[others])
+        if step == 5:
+            assert float(earned[2]) == 0.0
+            assert faulty.log.finished.env_ids.tolist() == [2]
+            assert faulty.log.finished.counted.tolist() == faulty.log.finished.success.tolist() == [False]
+            assert faulty.episode_length_buf.tolist() == [6, 6, 0, 6, 6, 6]
+            assert all(value.isfinite().all() for value in vars(faulty.log.finished).values() if torch.is_tensor(value))
+    assert math.isfinite(faulty.exploration.state_dict()["sum"])
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")

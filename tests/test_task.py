@@ -1,0 +1,371 @@
+"""Targets, deadlines, arrival, terrain levels and the end of the exploration reward."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from arrive.build import Placement, build_env
+from arrive.config import Config, TaskConfig, TerrainConfig
+from arrive.errors import ArriveError
+from arrive.presets import PAPER_REWARDS
+from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
+from arrive.task.final import FinalPositionTask
+from arrive.task.state import Command, State
+from arrive.task.targets import sample_targets
+from arrive.task.task import Start
+from arrive.terrain import FAMILIES, build_tile
+from arrive.terrain.pool import Rasters
+from arrive.terrain.tile import RASTER_SIZE, Tile, cell_index
+
+MANY = 20_000
+START = (0.15, -0.2, 0.6)
+TASK = TaskConfig(rewards=dict(PAPER_REWARDS))
+
+
+def rasters_of(tile: Tile) -> Rasters:
+    fall_height = torch.tensor([tile.fall_height], dtype=torch.float32)
+    return Rasters(*(torch.from_numpy(r)[None] for r in (tile.heights, tile.target_valid, tile.crossing)), fall_height)
+
+
+def tile_of(family: str, share: float = 1.0) -> Tile:
+    """The family's tile at this share of its range of difficulty."""
+    kind = FAMILIES[family]
+    return build_tile(kind, kind.lowest + share * (kind.highest - kind.lowest), np.random.default_rng(0), "training")
+
+
+def starts(n: int) -> Tensor:
+    return torch.tensor([START]).expand(n, 3)
+
+
+def targets_on(tile: Tile, n: int = MANY) -> np.ndarray:
+    tile_ids = torch.zeros(n, dtype=torch.long)
+    return sample_targets(rasters_of(tile), tile_ids, starts(n), TASK, torch.Generator().manual_seed(0)).numpy()
+
+
+def distance_from_uniform(samples: np.ndarray, low: float, high: float) -> float:
+    """Kolmogorov's distance between the samples and the uniform distribution, times the root of their number."""
+    order = (np.sort(samples) - low) / (high - low)
+    ranks = np.arange(len(samples) + 1) / len(samples)
+    return max(np.abs(order - ranks[1:]).max(), np.abs(order - ranks[:-1]).max()) * len(samples) ** 0.5
+
+
+class TestTargets:
+    def test_are_uniform_in_radius_and_angle_around_the_start(self):
+        offset = targets_on(tile_of("flat"))[:, :2] - START[:2]
+        radius, angle = np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0])
+        # Above 1.63 one sample of the uniform distribution in a hundred.
+        assert distance_from_uniform(radius, 1.0, 5.0) < 1.63
+        assert distance_from_uniform(angle, -math.pi, math.pi) < 1.63
+        assert distance_from_uniform(angle[radius < 2.0], -math.pi, math.pi) < 1.63
+        assert radius.min() >= 1.0 - 1e-5
+        assert radius.max() <= 5.0 + 1e-5
+
+    @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+    def test_are_never_in_a_gap_or_at_its_edge(self, share):
+        points = targets_on(tile_of("gap", share))
+        width = FAMILIES["gap"].lowest + share * (FAMILIES["gap"].highest - FAMILIES["gap"].lowest)
+        outwards = np.abs(points[:, :2]).max(-1)
+        near = (outwards > 1.2 - 0.3) & (outwards < 1.2 + width + 0.2)
+        assert not near.any()
+        assert (outwards < 1.2).any()
+        assert (outwards > 1.2 + width).any()
+        np.testing.assert_allclose(points[:, 2], 0.5)
+
+    @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+    def test_are_never_on_or_beside_an_obstacle(self, share):
+        tile = tile_of("obstacles", share)
+        points = targets_on(tile)
+        for pillar in tile.boxes[1:]:
+            outside = np.abs(points[:, :2] - pillar.center[:2]) - pillar.half_size[:2]
+            assert np.linalg.norm(np.maximum(outside, 0.0), axis=-1).min() > 0.42
+        np.testing.assert_allclose(points[:, 2], 0.5)
+
+    @pytest.mark.parametrize("share", [0.0, 1.0])
+    def test_are_never_astride_the_wall_of_a_pit_and_above_the_ground_they_are_on(self, share):
+        points = targets_on(tile_of("pit", share))
+        depth = FAMILIES["pit"].lowest + share * (FAMILIES["pit"].highest - FAMILIES["pit"].lowest)
+        outwards = np.abs(points[:, :2]).max(-1)
+        beyond = np.linalg.norm(np.maximum(np.abs(points[:, :2]) - 1.5, 0.0), axis=-1)
+        assert np.where(outwards > 1.5, beyond, 1.5 - outwards).min() > 0.27
+        np.testing.assert_allclose(points[:, 2], np.where(outwards > 1.5, 0.5 + depth, 0.5), rtol=1e-6)
+
+    def test_are_half_a_metre_above_a_slope(self):
+        points = targets_on(tile_of("slope", 0.5))
+        rise = math.tan(math.radians(27.5))
+        ground = np.maximum(np.abs(points[:, :2]).max(-1) - 1.0, 0.0) * rise
+        # The ground is looked up at the centre of a 5 cm cell.
+        np.testing.assert_allclose(points[:, 2], ground + 0.5, atol=0.0251 * rise)
+
+    def test_are_found_on_a_tile_where_few_places_are_valid(self):
+        tile, valid = tile_of("flat"), np.zeros((RASTER_SIZE, RASTER_SIZE), dtype=bool)
+        valid[cell_index(np.array(2.0)) : cell_index(np.array(3.0)), cell_index(np.array(0.0))] = True
+        points = targets_on(replace(tile, target_valid=valid), 50)
+        assert valid[cell_index(points[:, 0]), cell_index(points[:, 1])].all()
+
+    def test_that_cannot_be_found_are_an_error(self):
+        nowhere = np.zeros((RASTER_SIZE, RASTER_SIZE), dtype=bool)
+        with pytest.raises(ArriveError, match="no valid target"):
+            targets_on(replace(tile_of("flat"), target_valid=nowhere), 2)
+
+
+def a_task(tile: Tile, n: int, config: TaskConfig = TASK, **options) -> FinalPositionTask:
+    return FinalPositionTask(
+        Config(num_envs=n, task=config), rasters_of(tile), torch.Generator().manual_seed(0), **options
+    )
+
+
+def begin(task: FinalPositionTask, n: int, first: bool = False) -> None:
+    task.new_command(Start(torch.arange(n), starts(n), torch.zeros(n, dtype=torch.long)), first)
+
+
+class TestCommand:
+    def test_every_episode_of_the_paper_takes_six_seconds(self):
+        task = a_task(tile_of("flat"), 5)
+        begin(task, 5)
+        steps = [bool(task.advance(0.02).any()) for _ in range(300)]
+        assert steps == [False] * 299 + [True]
+        assert bool((task.command.time_left_s.abs() < 1e-3).all())
+
+    @pytest.mark.parametrize("window_s", [1.0, 2.0])
+    def test_the_window_holds_as_many_steps_as_fit_in_it(self, window_s):
+        """The clock counts down in float32; it must not slip a step into the window or out of it."""
+        config = replace(TASK, reward_window_s=window_s)
+        task, state = a_task(tile_of("flat"), 1, config), a_state(1)
+        begin(task, 1)
+        state.base_pos_w = task.command.target_w
+        earned = 0.0
+        for _ in range(300):
+            task.advance(0.02)
+            earned += 0.02 * float(task.rewards["task"](state, task.command, config))
+        assert earned == pytest.approx(1.0, abs=1e-5)
+
+    def test_lengths_are_uniform_between_the_shortest_and_the_longest(self):
+        task = a_task(tile_of("flat"), MANY, replace(TASK, episode_min_s=4.0))
+        begin(task, MANY)
+        # Rounded to policy steps or not: a step is 1 % of the range.
+        assert distance_from_uniform(task.command.time_left_s.numpy(), 4.0, 6.0) < 1.63 + 0.01 * MANY**0.5
+
+    def test_first_episodes_are_spread_and_do_not_count(self):
+        task = a_task(tile_of("flat"), MANY)
+        begin(task, MANY, first=True)
+        assert distance_from_uniform(task.command.time_left_s.numpy(), 0.0, 6.0) < 1.63 + 0.01 * MANY**0.5
+        assert not task.command.counts.any()
+
+    def test_a_target_counts_when_it_is_across_the_terrain(self):
+        task = a_task(tile_of("gap"), 500)
+        begin(task, 500)
+        across = task.command.target_w[:, :2].abs().amax(-1) > 1.2 + 1.4
+        assert 0 < int(across.sum()) < 500
+        assert torch.equal(task.command.counts, across)
+
+    def test_knows_its_start_distance(self):
+        task = a_task(tile_of("flat"), 10)
+        begin(task, 10)
+        offset = task.command.target_w - starts(10)
+        torch.testing.assert_close(task.command.start_distance, offset.square().sum(-1).sqrt())
+
+    def test_a_fixed_target_stands_above_its_ground(self):
+        task = a_task(tile_of("pit"), 3, fixed_target=(5.0, 0.0))
+        begin(task, 3)
+        torch.testing.assert_close(task.command.target_w, torch.tensor([[5.0, 0.0, 1.1 + 0.5]]).expand(3, 3))
+
+    def test_only_the_robots_that_start_get_a_new_one(self):
+        task = a_task(tile_of("flat"), 4)
+        begin(task, 4)
+        before = task.state_dict()
+        task.advance(0.02)
+        task.new_command(Start(torch.tensor([2]), starts(1), torch.zeros(1, dtype=torch.long)), False)
+        moved = (task.command.target_w != before["target_w"]).any(-1)
+        assert moved.tolist() == [False, False, True, False]
+        assert task.command.time_left_s.tolist() == pytest.approx([5.98, 5.98, 6.0, 5.98])
+
+
+def a_state(n: int, **values) -> State:
+    """States whose fields are zero unless given; vectors where the task reads any."""
+    return State(**{field.name: torch.zeros(n, 3) for field in fields(State)} | values)
+
+
+def judged(distance: float, *, start=4.0, crashed=False, fell=False, counts=True, speed=1.0, demotion="any") -> dict:
+    """The outcome of one robot that ends this far from its target."""
+    task = a_task(tile_of("flat"), 1, replace(TASK, demotion=demotion))
+    begin(task, 1)
+    task.command.start_distance[:], task.command.counts[:] = start, counts
+    # Along all three axes: the distance is not a horizontal one.
+    position = task.command.target_w + torch.tensor([[2.0, -2.0, 1.0]]) / 3.0 * distance
+    state = a_state(1, base_pos_w=position, base_lin_vel_w=torch.tensor([[speed, 0.0, 0.0]]))
+    outcome = task.judge(state, torch.tensor([crashed]), torch.tensor([fell]))
+    cause = [name for name, mask in outcome.failures.items() if mask]
+    assert len(cause) == (not outcome.success), "every failure has exactly one cause"
+    verdict = {name: bool(getattr(outcome, name)) for name in ("success", "promote", "demote")}
+    return verdict | {"cause": cause[0] if cause else None}
+
+
+class TestJudgement:
+    def test_arrival_is_half_a_metre(self):
+        assert judged(0.49) == {"success": True, "promote": True, "demote": False, "cause": None}
+        assert judged(0.51) == {"success": False, "promote": False, "demote": True, "cause": "late"}
+
+    def test_a_crash_at_the_target_is_no_arrival(self):
+        for accident in ({"crashed": True}, {"fell": True}, {"crashed": True, "fell": True}):
+            verdict = judged(0.1, **accident)
+            assert not verdict["success"]
+            assert not verdict["promote"]
+            assert verdict["cause"] == ("fell" if "fell" in accident else "crash")
+
+    def test_standing_around_is_told_from_coming_late(self):
+        assert judged(2.0, speed=0.09)["cause"] == "stalled"
+        assert judged(2.0, speed=0.11)["cause"] == "late"
+
+    def test_a_target_on_the_own_side_proves_nothing(self):
+        for distance, crashed in ((0.1, False), (3.0, False), (3.0, True)):
+            verdict = judged(distance, crashed=crashed, counts=False)
+            assert not verdict["promote"]
+            assert not verdict["demote"]
+        assert judged(0.1, counts=False)["success"]
+
+    def test_which_failures_demote(self):
+        assert judged(1.9, demotion="any")["demote"]
+        assert not judged(1.9, demotion="far")["demote"]
+        assert judged(2.1, demotion="far")["demote"]
+        assert not judged(0.4, demotion="far")["demote"]
+
+
+def levels_after(level: int, num_levels: int, *, ended=True, promote=False, demote=False, n: int = 1) -> Tensor:
+    curriculum = LevelCurriculum(torch.full((n,), num_levels), 0, torch.Generator().manual_seed(0))
+    assert not curriculum.levels.any()
+    curriculum.levels[:] = level
+    curriculum.update(*(torch.full((n,), flag) for flag in (ended, promote, demote)))
+    return curriculum.levels
+
+
+class TestLevels:
+    def test_go_up_after_a_success_and_down_after_a_failure(self):
+        assert levels_after(3, 10, promote=True).tolist() == [4]
+        assert levels_after(3, 10, demote=True).tolist() == [2]
+        assert levels_after(3, 10).tolist() == [3]
+
+    def test_stay_while_the_episode_goes_on(self):
+        assert levels_after(3, 10, ended=False, promote=True).tolist() == [3]
+        assert levels_after(3, 10, ended=False, demote=True).tolist() == [3]
+
+    def test_do_not_fall_below_the_first(self):
+        assert levels_after(0, 10, demote=True).tolist() == [0]
+
+    def test_beyond_the_last_are_random(self):
+        levels = levels_after(9, 10, promote=True, n=5000)
+        # Within five standard deviations of 500 each.
+        assert (torch.bincount(levels, minlength=10) - 500).abs().max() < 5 * (5000 * 0.1 * 0.9) ** 0.5
+        assert levels_after(8, 10, promote=True, n=100).unique().tolist() == [9]
+
+    def test_of_a_family_with_one_stay(self):
+        assert levels_after(0, 1, promote=True, n=50).unique().tolist() == [0]
+
+    def test_start_up_to_the_configured_one(self):
+        num_levels = torch.tensor([10, 1]).repeat(500)
+        curriculum = LevelCurriculum(num_levels, 3, torch.Generator().manual_seed(0))
+        assert curriculum.levels[::2].unique().tolist() == [0, 1, 2, 3]
+        assert curriculum.levels[1::2].unique().tolist() == [0]
+
+
+FAR, NEAR = 10.0, 0.0
+INSIDE, OUTSIDE = 0.5, 3.0
+
+
+def feed(switch: ExplorationSwitch, samples: list[tuple[float, float]], steps: int = 50, eligible=None) -> None:
+    """Robots at these (distance to target, time left) for some policy steps."""
+    n = len(samples)
+    distance, time_left = torch.tensor(samples).unbind(-1)
+    target = torch.stack([distance, torch.zeros(n), torch.zeros(n)], dim=-1)
+    command = Command(target, time_left, torch.ones(n), torch.ones(n, dtype=torch.bool))
+    everyone = torch.ones(n, dtype=torch.bool) if eligible is None else torch.tensor(eligible)
+    for _ in range(steps):
+        switch.record(a_state(n), command, everyone)
+
+
+class TestExplorationSwitch:
+    """The reward window is the last second."""
+
+    def test_goes_when_robots_are_near_inside_the_window_although_the_mean_over_all_is_low(self):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(NEAR, INSIDE)] + 9 * [(FAR, OUTSIDE)])
+        assert switch.fraction == pytest.approx(1.0)
+        assert switch.factor == 0.0
+
+    def test_stays_when_robots_are_far_inside_the_window_although_the_mean_over_all_is_high(self):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(3.0, INSIDE)] + 9 * [(NEAR, OUTSIDE)])
+        assert switch.fraction == pytest.approx(0.1)
+        assert switch.factor == 1.0
+
+    @pytest.mark.parametrize(("distance", "factor"), [(0.999, 0.0), (1.001, 1.0)])
+    def test_goes_at_half_of_the_maximum(self, distance, factor):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(distance, INSIDE)])
+        assert switch.factor == factor
+
+    def test_never_comes_back(self):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(NEAR, INSIDE)])
+        feed(switch, [(FAR, INSIDE)], steps=500)
+        assert switch.fraction < 0.5
+        assert switch.factor == 0.0
+
+    def test_looks_at_the_recent_past_only(self):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(FAR, INSIDE)], steps=1000)
+        feed(switch, [(NEAR, INSIDE)])
+        assert switch.factor == 0.0
+
+    def test_shortened_episodes_are_left_out(self):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(NEAR, INSIDE), (3.0, INSIDE)], eligible=[False, True])
+        assert switch.fraction == pytest.approx(0.1)
+        fresh = ExplorationSwitch(TASK)
+        feed(fresh, [(NEAR, INSIDE)], eligible=[False])
+        assert fresh.factor == 1.0
+
+    def test_keeps_what_is_asked_for(self):
+        switch = ExplorationSwitch(replace(TASK, exploration_kept=0.2))
+        assert switch.factor == 1.0
+        feed(switch, [(NEAR, INSIDE)])
+        assert switch.factor == 0.2
+
+    def test_nothing_in_the_window_decides_nothing(self):
+        switch = ExplorationSwitch(TASK)
+        feed(switch, [(NEAR, OUTSIDE)], steps=200)
+        assert switch.factor == 1.0
+
+    @pytest.mark.parametrize("before", [(FAR, 30), (NEAR, 30), (NEAR, 50)])
+    def test_goes_on_from_its_state(self, before):
+        switch, other = ExplorationSwitch(TASK), ExplorationSwitch(TASK)
+        feed(switch, [(before[0], INSIDE)], steps=before[1])
+        other.load_state_dict(switch.state_dict())
+        for resumed in (switch, other):
+            feed(resumed, [(FAR, INSIDE)], steps=20)
+        assert other.state_dict() == switch.state_dict()
+        assert (other.factor, other.fraction) == (switch.factor, switch.fraction)
+
+
+def test_a_fresh_run_does_not_judge_exploration_by_its_shortened_episodes():
+    config = Config(num_envs=16, task=TASK, terrain=TerrainConfig(variants=1))
+    env = build_env(config, threads=1)
+    in_window = 0
+    for _ in range(ExplorationSwitch.CHECK_STEPS - 1):
+        in_window += int((env.task.command.time_left_s < 1.0).sum())
+        env.step(torch.zeros(16, 12))
+    assert in_window > 0
+    assert env.exploration.state_dict()["count"] == 0
+
+
+def test_full_episodes_do_count_for_exploration():
+    config = Config(num_envs=2, task=TASK, terrain=TerrainConfig(variants=1))
+    assignment = (torch.zeros(2, dtype=torch.long), torch.zeros(2, dtype=torch.long))
+    env = build_env(config, Placement(assignment=assignment), threads=1)
+    env.task.command.time_left_s[:] = torch.tensor([0.5, 3.0])
+    for _ in range(20):
+        env.step(torch.zeros(2, 12))
+    assert env.exploration.state_dict()["count"] == 20
