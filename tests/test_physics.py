@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mujoco.batch import SimulationError
 from torch import Tensor
 
 from arrive.build import Placement, build_env
@@ -270,3 +271,20 @@ def test_the_environment_resets_a_robot_that_diverges_and_goes_on(fault, tmp_pat
     assert math.isfinite(faulty.exploration.state_dict()["sum"])
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_simulation_that_mujoco_gives_up_counts_as_diverged(monkeypatch):
+    """MuJoCo leaves it in a finite state, which would otherwise stand still for ever."""
+    engine = an_engine(4)
+
+    class Failing:
+        def __getattr__(self, name):
+            return getattr(batch, name)
+
+        def step(self, nstep):
+            raise SimulationError(np.array([2]), "out of memory")
+
+    batch = engine._batch
+    monkeypatch.setattr(engine, "_batch", Failing())
+    engine.step(torch.zeros(4, 12))
+    assert engine.read().finite.tolist() == [True, True, False, True]

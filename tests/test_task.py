@@ -369,3 +369,19 @@ def test_full_episodes_do_count_for_exploration():
     for _ in range(20):
         env.step(torch.zeros(2, 12))
     assert env.exploration.state_dict()["count"] == 20
+
+
+def test_every_random_episode_pays_at_most_one_window():
+    """Lengths are whole policy steps, so that no episode's window holds one step more than the others'."""
+    config = replace(TASK, episode_min_s=4.0, reward_window_s=2.0)
+    task = a_task(tile_of("flat"), 500, config)
+    task.new_command(Start(torch.arange(500), starts(500), torch.zeros(500, dtype=torch.long)), first=False)
+    lengths = task.command.time_left_s.clone()
+    paid, over = torch.zeros(500), torch.zeros(500, dtype=torch.bool)
+    while not over.all():
+        over |= task.advance(0.02)
+        paid += (task.command.time_left_s < 2.0 - 1e-4) * ~(task.command.time_left_s < -1e-4) * 0.02 / 2.0
+    assert lengths.min() >= 4.0 - 1e-4
+    assert lengths.max() <= 6.0 + 1e-4
+    assert lengths.unique().numel() > 50
+    assert (paid - 1.0).abs().max() < 1e-3
