@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import time
@@ -53,7 +54,12 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
 
 def write_config(folder: Path, config: Config) -> None:
     """Write the resolved configuration with commit, command and seed, before training starts."""
-    content = {"config": to_dict(config), "commit": commit(), "command": " ".join(sys.argv), "seed": config.seed}
+    content = {
+        "config": to_dict(config),
+        "commit": commit(),
+        "command": shlex.join(["arrive", *sys.argv[1:]]),
+        "seed": config.seed,
+    }
     try:
         (folder / CONFIG_NAME).write_text(json.dumps(content, indent=2) + "\n")
     except OSError as error:
