@@ -30,7 +30,7 @@ from arrive.learning.trainer import Trainer
 from arrive.presets import PRESETS, get_preset
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS, get_task
-from arrive.task.rewards import CRASH_COST, REWARDS
+from arrive.task.rewards import CRASH_COST
 from arrive.terrain import FAMILIES, parse_families
 from arrive.validate import validate
 
@@ -94,16 +94,16 @@ def _budget(command: Train) -> tuple[float | None, int | None]:
 def _fresh(command: Train) -> tuple[Config, Path]:
     config = get_preset(command.preset or DEFAULT_PRESET)
     names = tuple(family.name for family in parse_families(command.terrain))
+    task = command.task or config.task.name
     changes: dict = {
         "terrain": dataclasses.replace(config.terrain, families=names),
         "seed": 1 if command.seed is None else command.seed,
+        "task": dataclasses.replace(config.task, name=task),
     }
-    if command.task is not None:
-        get_task(command.task)
-        changes["task"] = dataclasses.replace(config.task, name=command.task)
     if command.num_envs is not None:
         changes["num_envs"] = command.num_envs
-    config = override(dataclasses.replace(config, **changes), command.set)
+    config = get_task(task).configure(dataclasses.replace(config, **changes))
+    config = override(config, command.set)
     validate(config)
     return config, new_run_folder(config, command.out)
 
@@ -209,7 +209,8 @@ def list_names(command: List) -> None:
         "presets": {name: _first_line(build) for name, build in PRESETS.items()},
         "robots": {name: robot.description for name, robot in ROBOTS.items()},
         "tasks": {name: _first_line(task) for name, task in TASKS.items()},
-        "rewards": {name: _first_line(term) for name, term in REWARDS.items()} | {CRASH_COST: "Paid once, at a crash."},
+        "rewards": {name: _first_line(term) for task in TASKS.values() for name, term in task.rewards.items()}
+        | {CRASH_COST: "Paid once, at a crash."},
     }
     if command.what is not None and command.what not in names:
         raise unknown_name("list", command.what, names)

@@ -37,7 +37,7 @@ class Finished:
     levels: Tensor
     """Level they were played on."""
     distance: Tensor
-    """Distance to the target at the end [m]."""
+    """How much of the way was left at the end [m]."""
     failures: dict[str, Tensor]
 
 
@@ -77,7 +77,7 @@ class ArriveEnv(VecEnv):
         self.num_envs, self.num_actions = physics.num_envs, len(robot.joint_names)
         self.device = physics.device
         self.control_dt = config.physics.control_dt
-        self.max_episode_length = round(config.task.episode_s / self.control_dt)
+        self.max_episode_length = round(task.episode_s / self.control_dt)
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
         self._generator = generator
         self._learning = learning = assignment is None
@@ -195,6 +195,7 @@ class ArriveEnv(VecEnv):
         )
 
     def _terminate(self, state: State) -> tuple[Outcome, Tensor]:
+        self.task.follow(state)
         time_out = self.task.advance(self.control_dt)
         fell = state.base_pos_w[:, 2] < state.fall_height
         crashed = (state.crash_contacts > 0) | ~self._finite
@@ -213,7 +214,8 @@ class ArriveEnv(VecEnv):
             terms[CRASH_COST] = self._failed * self.config.task.rewards[CRASH_COST]
         if not bool(self._finite.all()):
             terms = {name: torch.where(self._finite, value, 0.0) for name, value in terms.items()}
-        self.exploration.record(state, command, self._finite & ~self._buffers["shortened"])
+        share, paid = self.task.task_share(state)
+        self.exploration.record(share, paid & self._finite & ~self._buffers["shortened"])
         self.log = StepLog(rewards=terms, diverged=int((~self._finite).sum()))
         return torch.stack(list(terms.values())).sum(0)
 
@@ -227,7 +229,7 @@ class ArriveEnv(VecEnv):
             success=outcome.success[ids],
             counted=counted,
             levels=self.curriculum.levels[ids],
-            distance=(self.task.command.target_w - self.state.base_pos_w).norm(dim=-1)[ids],
+            distance=outcome.remaining[ids],
             failures={cause: mask[ids] for cause, mask in outcome.failures.items()},
         )
         if self._learning:
@@ -283,6 +285,11 @@ class ArriveEnv(VecEnv):
             velocity[:, :2] = config.push_speed * (2.0 * self._uniform(len(ids), 2) - 1.0)
             self.physics.push(ids, velocity)
             self._stale = True
+
+    @property
+    def exploration_paid(self) -> bool:
+        """Whether an exploration reward is configured and has not been removed yet."""
+        return self.exploration.active and any(name in self._terms for name in EXPLORATION_REWARDS)
 
     def _extras(self, time_out: Tensor) -> dict:
         return {"time_outs": time_out.float()} if self.config.task.bootstrap_timeouts else {}

@@ -51,7 +51,7 @@ def play(env: ArriveEnv, policy: Policy, watched: Tensor, progress: Progress = l
         steps=torch.zeros(n, dtype=torch.long),
         cause=[""] * n,
         tile=env.tile_of_env.clone(),
-        target_w=env.task.command.target_w.clone(),
+        target_w=env.task.destination_w.clone(),
         qpos=np.zeros(0),
         watched=watched,
     )
