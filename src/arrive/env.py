@@ -49,6 +49,8 @@ class StepLog:
     """Weighted reward of each term, (num_envs,)."""
     diverged: int = 0
     """Simulations that left the finite numbers and were reset."""
+    success: Tensor | None = None
+    """(num_envs,) bool: the episode would be a success if it ended now."""
     finished: Finished | None = None
 
 
@@ -220,6 +222,7 @@ class ArriveEnv(VecEnv):
         return torch.stack(list(terms.values())).sum(0)
 
     def _record(self, outcome: Outcome) -> None:
+        self.log.success = outcome.success
         ids = self._ended.nonzero().squeeze(-1)
         if not len(ids):
             return

@@ -15,6 +15,8 @@ from arrive.terrain.pool import Rasters
 
 OBSTACLE_HEIGHT = 0.6
 """Ground this much above robot and target, on the line between them, is what the robot did not get around [m]."""
+APPROACH = 0.3
+"""Who came less than this nearer to the target was not stopped by the terrain [m]."""
 LINE_POINTS = 64
 """Places on that line that are looked at: at most 0.1 m apart."""
 
@@ -127,13 +129,14 @@ class FinalPositionTask:
         )
 
     def _apart(self, state: State, missed: Tensor) -> Tensor:
-        """(n,) bool: the terrain still lies between the robot and a target beyond it, for episodes that end now.
+        """(n,) bool: the robot set out but the terrain still lies before its target, for episodes that end now.
 
         The target counts as crossing but the robot's place does not (a gap, a wall, stairs), or a high obstacle stands
         on the straight line.
         """
         apart = torch.zeros_like(missed)
-        ids = (missed & (self._command.time_left_s <= 0.01)).nonzero().squeeze(-1)
+        came = self._command.start_distance - distance_to_target(state, self._command) > APPROACH
+        ids = (missed & came & (self._command.time_left_s <= 0.01)).nonzero().squeeze(-1)
         if not len(ids):
             return apart
         tiles, here, there = self._tile_ids[ids], state.base_pos_w[ids, :2], self._command.target_w[ids, :2]

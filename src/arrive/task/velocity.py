@@ -159,9 +159,7 @@ class VelocityTask:
         scale = task.rewards.get("task", 0.0) / task.episode_s / tracking
         kept = {name: weight for name, weight in task.rewards.items() if name in MOTION_COSTS or name == CRASH_COST}
         rewards = {name: scale * weight for name, weight in PROPORTIONS.items()} | kept
-        changed = replace(
-            task, rewards=rewards, episode_s=EPISODE_S, episode_min_s=EPISODE_S, bootstrap_timeouts=True
-        )
+        changed = replace(task, rewards=rewards, episode_s=EPISODE_S, episode_min_s=EPISODE_S, bootstrap_timeouts=True)
         return replace(config, task=changed)
 
     @property
