@@ -81,8 +81,8 @@ def _head(runs: Sequence[Run], content: dict[str, Any]) -> str:
     return (
         "<h1>How hard a terrain is still solved</h1>"
         "<p class=soft>The hardest terrain that robots cross in 95 % of the episodes, by what they were trained to "
-        f"do: {'; '.join(f'{_symbol(task)} {name}' for task, name in TASK_NAMES.items())}. Paper: Rudin, Hoeller, Bjelonic, "
-        "Hutter, Advanced Skills by Learning Locomotion and Local Navigation End-to-End (2022), Table I. "
+        f"do: {'; '.join(f'{_symbol(task)} {name}' for task, name in TASK_NAMES.items())}. Paper: Rudin, Hoeller, "
+        "Bjelonic, Hutter, Advanced Skills by Learning Locomotion and Local Navigation End-to-End (2022), Table I. "
         f"Here: {len(measured)} measured policies, {behind if measured else 'nothing measured yet'}.</p>"
     )
 
@@ -198,8 +198,8 @@ def _usage(runs: Sequence[Run]) -> str:
         return ""
     return (
         "<h2>Use of the time</h2><p class=soft>Successful episodes at the easiest level of each terrain; 8 s were "
-        "given. Arrival is the first moment within reach of the target (V: 4 m walked), path the horizontal way until then; "
-        "median and quartiles. Chart: mean speed; dotted: median arrival.</p>"
+        "given. Arrival is the first moment within reach of the target (V: 4 m walked), path the horizontal way until "
+        "then; median and quartiles. Chart: mean speed; dotted: median arrival.</p>"
         f"{_svg_image(speed_chart(runs), 'speed over time')}"
         "<table><tr><th>policy</th><th>terrain</th><th>arrival time</th><th>path length</th><th>episodes</th></tr>"
         f"{''.join(rows)}</table>"

@@ -39,8 +39,9 @@ class Run:
 
     @property
     def label(self) -> str:
-        """The paper's symbol of the task and the run's name."""
-        return f"{SYMBOLS.get(self.task, self.task)} ({self.name})"
+        """The paper's symbol of the task and the run's name, for charts."""
+        symbol = f"${SYMBOLS[self.task]}$" if self.task in SYMBOLS else self.task
+        return f"{symbol} ({self.name})"
 
     @property
     def samples(self) -> int:

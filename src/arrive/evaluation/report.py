@@ -63,9 +63,8 @@ def _origin(run: Run) -> dict[str, Any]:
 
 
 def _train_command(command: str) -> str:
-    """The command without the folder that the program lies in on this machine."""
-    program, _, rest = command.partition(" ")
-    return f"{Path(program).name} {rest}"
+    """The command as a person would type it, whatever file the program was started from."""
+    return f"arrive {command.partition(' ')[2]}"
 
 
 def _eval_command(run: Run) -> str:
