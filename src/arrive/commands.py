@@ -134,7 +134,10 @@ def evaluate(command: Eval) -> None:
         raise ArriveError("name at least one run folder or policy file")
     if command.json and len(command.policies) > 1:
         raise ArriveError("--json takes the result of one policy; measure several one by one")
+    # Small networks gain little from torch's threads, lose six times the speed where the machine is busy, and one
+    # thread gives the same sums on every machine of a kind.
     threads = _use_threads(command.threads)
+    torch.set_num_threads(1)
     measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty}[command.protocol]
     for path in command.policies:
         measure(command, load_policy(path), threads)

@@ -109,6 +109,7 @@ class ArriveEnv(VecEnv):
             "foot_vel": zeros(n, feet, 3),
             "fresh": torch.ones(n, dtype=torch.bool, device=self.device),
             "shortened": torch.zeros(n, dtype=torch.bool, device=self.device),
+            "retired": torch.zeros(n, dtype=torch.bool, device=self.device),
             "tile": torch.zeros(n, dtype=torch.long, device=self.device),
         }
 
@@ -144,6 +145,11 @@ class ArriveEnv(VecEnv):
             state = self._read(advance=False)
         observation = self.observer.observe(state, self.task.command, self._generator)
         return TensorDict({POLICY: observation}, batch_size=[self.num_envs], device=self.device)
+
+    def retire(self, env_ids: Tensor) -> None:
+        """Take robots out of the simulation for good: an evaluation has seen what it wanted of them."""
+        self._buffers["retired"][env_ids] = True
+        self.physics.retire(env_ids)
 
     # The phases of a step, in order.
 
@@ -202,7 +208,7 @@ class ArriveEnv(VecEnv):
         fell = state.base_pos_w[:, 2] < state.fall_height
         crashed = (state.crash_contacts > 0) | ~self._finite
         self._failed = crashed | fell
-        self._ended = time_out | self._failed
+        self._ended = (time_out | self._failed) & ~self._buffers["retired"]
         outcome = self.task.judge(state, crashed, fell)
         return outcome, time_out & ~self._failed
 

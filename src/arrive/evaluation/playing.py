@@ -87,7 +87,7 @@ def _note_ended(env: ArriveEnv, played: Played, waiting: Tensor, step: int) -> N
         for env_id in ended.env_ids[new & mask].tolist():
             played.cause[env_id] = cause
     waiting[ids] = False
-    env.physics.retire(ids)
+    env.retire(ids)
 
 
 def _poses(env: ArriveEnv, watched: Tensor) -> np.ndarray:
