@@ -268,7 +268,9 @@ class TestMaximum:
 
     def test_a_sentence_says_where_and_how(self):
         sentence = why_stuck(results(99, 63, 0, fell=30, crash=7))
-        assert sentence == "gap: at least 95% up to 0.1 m; at 0.2 m 63% succeed, 30% fell into the hole, 7% crashed"
+        assert (
+            sentence == "gap: at least 95% up to 0.1 m; at 0.2 m 63.0% succeed, 30.0% fell into the hole, 7.0% crashed"
+        )
         assert why_stuck(results(99, 98)) == "gap: at least 95% at every level up to 0.2 m"
 
     def test_relations_fall_back_on_looser_limits(self):

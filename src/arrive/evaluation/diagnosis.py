@@ -29,14 +29,14 @@ def why_stuck(results: Sequence[CellResult]) -> str:
         return f"{family}: at least {WANTED:.0%} at every level{_up_to(results[-1], results)}"
     result = results[stuck]
     before = f"at least {WANTED:.0%}{_up_to(results[stuck - 1], results)}; " if stuck else ""
-    return f"{family}: {before}{_at(result, results)}{result.success:.0%} succeed, {how(result)}"
+    return f"{family}: {before}{_at(result, results)}{result.success:.1%} succeed, {how(result)}"
 
 
 def how(result: CellResult) -> str:
     """What the others did, commonest first."""
     shares = {cause: count / result.episodes for cause, count in result.failures.items()}
     told = sorted((cause for cause in shares if shares[cause] >= LEAST_SHARE), key=lambda cause: -shares[cause])
-    return ", ".join(f"{shares[cause]:.0%} {CAUSES.get(cause, cause)}" for cause in told)
+    return ", ".join(f"{shares[cause]:.1%} {CAUSES.get(cause, cause)}" for cause in told)
 
 
 def _value(result: CellResult) -> str:

@@ -20,7 +20,7 @@ TASK_NAMES = {
 STRIP_WIDTH = 1400
 """Picture strips are shrunk to this [pixels]."""
 MARKS = {"holds": "✓", "fails": "✗", "open": "?"}
-WORDS = {"holds": "holds here", "fails": "does not hold yet", "open": "open: neither solves a level"}
+WORDS = {"holds": "holds here", "fails": "not yet", "open": "neither solves a level"}
 LIMIT_NAMES = {"max_at_95": "95 %", "max_at_80": "80 %", "max_at_50": "50 %"}
 
 CSS = """
@@ -44,7 +44,7 @@ td { border-bottom: 1px solid var(--line); padding: 8px 10px; vertical-align: to
 .bar i { display: block; height: 11px; border-radius: 2px; min-width: 2px; } .bar span { font-size: 13px; }
 .bar.paper i { background: var(--paper); } .bar.paper span { color: var(--soft); }
 .bar.ours span { font-weight: 600; } .track { width: 45%; flex: none; }
-.small { font-size: 12.5px; color: var(--soft); }
+.small { font-size: 12.5px; color: var(--soft); } li .small { white-space: nowrap; }
 img { display: block; max-width: 100%; } figure { margin: 12px 0 20px; }
 figcaption { font-size: 13.5px; margin: 2px 0; }
 code { font: 12.5px/1.45 ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
@@ -157,7 +157,7 @@ def _bar(kind: str, value: float | None, top: float, unit: str, color: str) -> s
 def _behind(entry: dict[str, Any], unit: str) -> str:
     looser = ", ".join(f"{LIMIT_NAMES[name]}: {_value(entry[name], unit)}" for name in ("max_at_80", "max_at_50"))
     return (
-        f"<div class=small>{looser}<br>{html.escape(entry['run'])}, {entry['levels']} levels, "
+        f"<div class=small>{looser}<br>{html.escape(entry['run'])}, {entry['levels']} level{'s' * (entry['levels'] > 1)}, "
         f"{entry['episodes']:,} episodes</div>"
     )
 
@@ -169,10 +169,12 @@ def _value(value: float | None, unit: str) -> str:
 def _difficulty(runs: Sequence[Run]) -> str:
     if not any(run.results() for run in runs):
         return ""
+    families = dict.fromkeys(name for run in runs for name in run.results())
     sentences = "".join(
-        f"<li>{_label(run)}: {html.escape(why_stuck(results))}</li>"
+        f"<li>{_label(run)} {html.escape(why_stuck(run.results()[name]))}</li>"
+        for name in families
         for run in runs
-        for results in run.results().values()
+        if name in run.results()
     )
     return (
         "<h2>Success against difficulty, and where it ends</h2>"
@@ -189,7 +191,7 @@ def _usage(runs: Sequence[Run]) -> str:
             if easiest["episodes"]:
                 time, path = easiest["arrival_time_s"], easiest["path_length_m"]
                 rows.append(
-                    f"<tr><td>{_label(run)}</td><td>{html.escape(family)} {easiest['value']:g}</td>"
+                    f"<tr><td>{_label(run)}</td><td>{html.escape(family)}</td>"
                     f"<td>{time[1]:.2f} s <span class=small>({time[0]:.2f} to {time[2]:.2f})</span></td>"
                     f"<td>{path[1]:.2f} m <span class=small>({path[0]:.2f} to {path[2]:.2f})</span></td>"
                     f"<td>{easiest['episodes']:,}</td></tr>"
@@ -201,7 +203,7 @@ def _usage(runs: Sequence[Run]) -> str:
         "given. Arrival is the first moment within reach of the target (V: 4 m walked), path the horizontal way until "
         "then; median and quartiles. Chart: mean speed; dotted: median arrival.</p>"
         f"{_svg_image(speed_chart(runs), 'speed over time')}"
-        "<table><tr><th>policy</th><th>terrain</th><th>arrival time</th><th>path length</th><th>episodes</th></tr>"
+        "<table><tr><th>policy</th><th>easiest</th><th>arrival time</th><th>path length</th><th>episodes</th></tr>"
         f"{''.join(rows)}</table>"
     )
 
