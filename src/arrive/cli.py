@@ -44,8 +44,10 @@ class Train:
 class Eval:
     """Measure how often policies succeed, per terrain and level, and say why they fail."""
 
-    policies: tyro.conf.Positional[tuple[Path, ...]]
-    """Run folders or policy files."""
+    policy: tyro.conf.Positional[Path]
+    """Run folder or policy file."""
+    others: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of them, measured one after the other."""
     protocol: Literal["arrival", "difficulty"] = "arrival"
     """`arrival`: as in training; `difficulty`: the paper's measurement of the hardest terrain solved."""
     terrain: str | None = None
@@ -70,8 +72,10 @@ class Eval:
 class Report:
     """Put runs and the difficulty they solve beside the paper's Table I, as one HTML page and a JSON file."""
 
-    runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Run folders, measured with `arrive eval --protocol difficulty`."""
+    run: tyro.conf.Positional[Path]
+    """Run folder, measured with `arrive eval --protocol difficulty`."""
+    others: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of them."""
     out: Path = Path("report.html")
     """File for the page; the JSON file has the same name and ends in .json."""
 

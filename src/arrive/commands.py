@@ -130,16 +130,14 @@ def _resumed(command: Train) -> tuple[Config, Path]:
 
 def evaluate(command: Eval) -> None:
     """Measure policies, print tables and what they fail at, and write JSON and pictures."""
-    if not command.policies:
-        raise ArriveError("name at least one run folder or policy file")
-    if command.json and len(command.policies) > 1:
+    if command.json and command.others:
         raise ArriveError("--json takes the result of one policy; measure several one by one")
     # Small networks gain little from torch's threads, lose six times the speed where the machine is busy, and one
     # thread gives the same sums on every machine of a kind.
     threads = _use_threads(command.threads)
     torch.set_num_threads(1)
     measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty}[command.protocol]
-    for path in command.policies:
+    for path in (command.policy, *command.others):
         measure(command, load_policy(path), threads)
 
 
@@ -257,9 +255,7 @@ def _write_pictures(
 
 def report(command: Report) -> None:
     """Write the report page and its JSON file."""
-    if not command.runs:
-        raise ArriveError("name at least one run folder")
-    for path in write_report(command.runs, command.out):
+    for path in write_report((command.run, *command.others), command.out):
         print(f"report: {path}")
 
 

@@ -156,10 +156,8 @@ def _bar(kind: str, value: float | None, top: float, unit: str, color: str) -> s
 
 def _behind(entry: dict[str, Any], unit: str) -> str:
     looser = ", ".join(f"{LIMIT_NAMES[name]}: {_value(entry[name], unit)}" for name in ("max_at_80", "max_at_50"))
-    return (
-        f"<div class=small>{looser}<br>{html.escape(entry['run'])}, {entry['levels']} level{'s' * (entry['levels'] > 1)}, "
-        f"{entry['episodes']:,} episodes</div>"
-    )
+    levels = "1 level" if entry["levels"] == 1 else f"{entry['levels']} levels"
+    return f"<div class=small>{looser}<br>{html.escape(entry['run'])}, {levels}, {entry['episodes']:,} episodes</div>"
 
 
 def _value(value: float | None, unit: str) -> str:

@@ -15,7 +15,7 @@ from arrive.config import Config, TaskConfig
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.observations import ObservationTerm, around_command
-from arrive.task.rewards import CRASH_COST, MOTION_COSTS, RewardFunction
+from arrive.task.rewards import CRASH_COST, MOTION_COSTS, STALL_SPEED, RewardFunction
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
 from arrive.task.task import Outcome, Start, Trial
@@ -42,8 +42,6 @@ WALK_TO_RISE = 4.0
 """Who ends farther than this from the start goes up a level: half of legged_gym's tile of 8 m [m]."""
 TILE_END = RASTER_HALF - 1.0
 """Beyond this along an axis the episode is over as if time had run out: legged_gym's tiles join, these end [m]."""
-STALLED_SPEED = 0.1
-"""A robot slower than this when time ran out stood still [m/s]."""
 PROPORTIONS = {
     "track_speed": 1.0,
     "track_yaw_rate": 0.5,
@@ -251,7 +249,7 @@ class VelocityTask:
         else:
             success = self._command.farthest_x > self._trial.walk
             remaining = (self._trial.walk - self._command.farthest_x).clamp(min=0.0)
-        slow = state.base_lin_vel_w.norm(dim=-1) < STALLED_SPEED
+        slow = state.base_lin_vel_w.norm(dim=-1) < STALL_SPEED
         return Outcome(
             success=success,
             promote=promote,
