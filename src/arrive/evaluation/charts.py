@@ -82,7 +82,7 @@ def speed_chart(runs: Sequence[Run], level: int = 0) -> str:
                 profile, median = rows[level]["speed_profile"], rows[level]["arrival_time_s"][1]
                 axes.plot(profile["time_s"], profile["mean_m_s"], style, color=color_of(run.task), label=run.label)
                 axes.axvline(median, color=color_of(run.task), linestyle=(0, (1, 2)), linewidth=1.4)
-                title = f"{name} {rows[level]['value']:.3g} {family.unit}"
+                title = f"{name} {rows[level]['value']:.3g} {family.unit}" if family.unit else name
         axes.set_ylim(bottom=0)
         axes.set_xlim(0, 8)
         _finish(axes, title, "time [s]", "speed [m/s]")

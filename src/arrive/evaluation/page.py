@@ -183,9 +183,9 @@ def _difficulty(runs: Sequence[Run]) -> str:
 
 def _usage(runs: Sequence[Run]) -> str:
     rows = []
-    for run in runs:
-        for family, levels in (run.difficulty["policy"]["usage"] if run.difficulty else {}).items():
-            easiest = levels[0]
+    for family in dict.fromkeys(name for run in runs for name in run.results()):
+        for run in (run for run in runs if family in run.results()):
+            easiest = run.difficulty["policy"]["usage"][family][0]
             if easiest["episodes"]:
                 time, path = easiest["arrival_time_s"], easiest["path_length_m"]
                 rows.append(
