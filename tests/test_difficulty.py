@@ -385,3 +385,20 @@ class TestReport:
         with pytest.raises(SystemExit):
             main(["report", str(tmp_path)])
         assert "not a run folder" in capsys.readouterr().err
+
+
+def test_a_retired_robot_neither_moves_nor_ends_again():
+    """Its contacts are those of its last step, for instance a crash, which must not count in every later one."""
+    two = torch.zeros(2, dtype=torch.long)
+    env = build_env(configured("final", num_envs=2), Placement(assignment=(two, two)), threads=1)
+    read = env.physics.read
+    env.physics.read = lambda: replace(read(), crash_contacts=torch.tensor([1.0, 0.0]))
+    env.step(torch.zeros(2, 12))
+    assert env.log.finished.env_ids.tolist() == [0]
+    env.retire(torch.tensor([0]))
+    before = env.state.base_pos_w.clone()
+    for _ in range(5):
+        env.step(torch.zeros(2, 12))
+        assert env.log.finished is None
+    moved = (env.state.base_pos_w != before).any(-1)
+    assert moved.tolist() == [False, True]
