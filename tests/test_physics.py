@@ -281,7 +281,7 @@ def test_a_simulation_that_mujoco_gives_up_counts_as_diverged(monkeypatch):
         def __getattr__(self, name):
             return getattr(batch, name)
 
-        def step(self, nstep):
+        def step(self, ids=None, nstep=1):
             raise SimulationError(np.array([2]), "out of memory")
 
     batch = engine._batch

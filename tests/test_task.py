@@ -14,9 +14,10 @@ from arrive.errors import ArriveError
 from arrive.presets import PAPER_REWARDS
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
 from arrive.task.final import FinalPositionTask
+from arrive.task.rewards import task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
-from arrive.task.task import Start
+from arrive.task.task import Start, Trial
 from arrive.terrain import FAMILIES, build_tile
 from arrive.terrain.pool import Rasters
 from arrive.terrain.tile import RASTER_SIZE, Tile, cell_index
@@ -169,7 +170,7 @@ class TestCommand:
         torch.testing.assert_close(task.command.start_distance, offset.square().sum(-1).sqrt())
 
     def test_a_fixed_target_stands_above_its_ground(self):
-        task = a_task(tile_of("pit"), 3, fixed_target=(5.0, 0.0))
+        task = a_task(tile_of("pit"), 3, trial=Trial(8.0, (5.0, 0.0), 1.0, 4.0))
         begin(task, 3)
         torch.testing.assert_close(task.command.target_w, torch.tensor([[5.0, 0.0, 1.1 + 0.5]]).expand(3, 3))
 
@@ -283,7 +284,8 @@ def feed(switch: ExplorationSwitch, samples: list[tuple[float, float]], steps: i
     command = Command(target, time_left, torch.ones(n), torch.ones(n, dtype=torch.bool))
     everyone = torch.ones(n, dtype=torch.bool) if eligible is None else torch.tensor(eligible)
     for _ in range(steps):
-        switch.record(a_state(n), command, everyone)
+        share, paid = task_share(a_state(n), command, TASK)
+        switch.record(share, paid & everyone)
 
 
 class TestExplorationSwitch:

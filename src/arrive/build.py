@@ -12,6 +12,7 @@ from arrive.errors import ArriveError
 from arrive.physics.cpu import CpuPhysics
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
+from arrive.task.task import Trial
 from arrive.terrain import Layout, get_family
 from arrive.terrain.pool import build_pool, level_values
 from arrive.validate import validate
@@ -26,8 +27,8 @@ class Placement:
     """Parameters of each family's levels; None for the curriculum's."""
     seed_offset: int = 0
     """Added to the configuration's seed for terrain, friction and payload."""
-    fixed_target: tuple[float, float] | None = None
-    """Horizontal position of every target [m]; None to draw them."""
+    trial: Trial | None = None
+    """The errand of every robot; None to draw commands."""
     assignment: tuple[Tensor, Tensor] | None = None
     """Family and level of each environment, fixed; None for the curriculum."""
 
@@ -60,5 +61,5 @@ def build_env(
     pool = build_pool(config, robot, families, values, placement.layout, seed, progress)
     physics = CpuPhysics(robot, pool.worlds, config.num_envs, config.physics.decimation, threads)
     generator = torch.Generator().manual_seed(seed)
-    task = get_task(config.task.name)(config, pool.rasters, generator, placement.fixed_target)
+    task = get_task(config.task.name)(config, pool.rasters, generator, placement.trial)
     return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)

@@ -1,9 +1,9 @@
-"""The command line: `arrive train | eval | list`."""
+"""The command line: `arrive train | eval | report | list`."""
 
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -42,14 +42,20 @@ class Train:
 
 @dataclass(frozen=True)
 class Eval:
-    """Measure how often a policy arrives, per terrain and level."""
+    """Measure how often policies succeed, per terrain and level, and say why they fail."""
 
     policy: tyro.conf.Positional[Path]
     """Run folder or policy file."""
+    others: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of them, measured one after the other."""
+    protocol: Literal["arrival", "difficulty"] = "arrival"
+    """`arrival`: as in training; `difficulty`: the paper's measurement of the hardest terrain solved."""
     terrain: str | None = None
     """Terrain family, several joined by commas, or `all`; those it was trained on by default."""
     level: int | None = None
-    """One level; all by default."""
+    """One level of training, for `arrival`; all by default."""
+    levels: int | None = None
+    """Number of evenly spaced levels, for `difficulty`; a table per terrain by default."""
     episodes: int = 500
     """Episodes per terrain and level."""
     seed: int = 1
@@ -57,9 +63,21 @@ class Eval:
     threads: int = 0
     """CPU threads; 0 takes every CPU."""
     json: Path | None = None
-    """File for the result as JSON."""
+    """File for the result as JSON; `difficulty` writes difficulty.json beside each policy by default."""
     pictures: Path | None = None
-    """Folder for a picture strip per terrain and level, and a film of the first; beside the policy by default."""
+    """Folder for picture strips and, for `arrival`, a film; beside the policy by default."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Put runs and the difficulty they solve beside the paper's Table I, as one HTML page and a JSON file."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder, measured with `arrive eval --protocol difficulty`."""
+    others: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of them."""
+    out: Path = Path("report.html")
+    """File for the page; the JSON file has the same name and ends in .json."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +91,7 @@ class List:
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[List, tyro.conf.subcommand("list")]
 )
 
@@ -83,7 +102,12 @@ def main(arguments: list[str] | None = None) -> None:
     # Imported here so that help and misspelt options answer at once.
     from arrive import commands
 
-    run = {Train: commands.train, Eval: commands.evaluate, List: commands.list_names}[type(command)]
+    run = {
+        Train: commands.train,
+        Eval: commands.evaluate,
+        Report: commands.report,
+        List: commands.list_names,
+    }[type(command)]
     try:
         run(command)
     except ArriveError as error:

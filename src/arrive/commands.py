@@ -17,10 +17,14 @@ from rich.table import Table
 from arrive.build import build_env
 from arrive.config import Config, override, to_dict
 from arrive.errors import ArriveError, unknown_name
+from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import Arrival, CellResult, cells_of
 from arrive.evaluation.arrival import evaluate as evaluate_policy
-from arrive.evaluation.pictures import GraphicsUnavailable, film, picture_strip
+from arrive.evaluation.diagnosis import why_stuck
+from arrive.evaluation.pictures import Episode, GraphicsUnavailable, film, picture_strip
 from arrive.evaluation.policy import Policy, load_policy
+from arrive.evaluation.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES
+from arrive.evaluation.report import write_report
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay
@@ -30,12 +34,12 @@ from arrive.learning.trainer import Trainer
 from arrive.presets import PRESETS, get_preset
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS, get_task
-from arrive.task.rewards import CRASH_COST, REWARDS
+from arrive.task.rewards import CRASH_COST
 from arrive.terrain import FAMILIES, parse_families
 from arrive.validate import validate
 
 if TYPE_CHECKING:
-    from arrive.cli import Eval, List, Train
+    from arrive.cli import Eval, List, Report, Train
 
 DEFAULT_PRESET = "robust"
 DEFAULT_MINUTES = 40.0
@@ -94,16 +98,16 @@ def _budget(command: Train) -> tuple[float | None, int | None]:
 def _fresh(command: Train) -> tuple[Config, Path]:
     config = get_preset(command.preset or DEFAULT_PRESET)
     names = tuple(family.name for family in parse_families(command.terrain))
+    task = command.task or config.task.name
     changes: dict = {
         "terrain": dataclasses.replace(config.terrain, families=names),
         "seed": 1 if command.seed is None else command.seed,
+        "task": dataclasses.replace(config.task, name=task),
     }
-    if command.task is not None:
-        get_task(command.task)
-        changes["task"] = dataclasses.replace(config.task, name=command.task)
     if command.num_envs is not None:
         changes["num_envs"] = command.num_envs
-    config = override(dataclasses.replace(config, **changes), command.set)
+    config = get_task(task).configure(dataclasses.replace(config, **changes))
+    config = override(config, command.set)
     validate(config)
     return config, new_run_folder(config, command.out)
 
@@ -125,9 +129,21 @@ def _resumed(command: Train) -> tuple[Config, Path]:
 
 
 def evaluate(command: Eval) -> None:
-    """Measure a policy, print the table, and write JSON and pictures where asked."""
+    """Measure policies, print tables and what they fail at, and write JSON and pictures."""
+    if command.json and command.others:
+        raise ArriveError("--json takes the result of one policy; measure several one by one")
+    # Small networks gain little from torch's threads, lose six times the speed where the machine is busy, and one
+    # thread gives the same sums on every machine of a kind.
     threads = _use_threads(command.threads)
-    policy = load_policy(command.policy)
+    torch.set_num_threads(1)
+    measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty}[command.protocol]
+    for path in (command.policy, *command.others):
+        measure(command, load_policy(path), threads)
+
+
+def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
+    if command.levels is not None:
+        raise ArriveError("--levels goes with --protocol difficulty; choose one level of training with --level")
     families = parse_families(command.terrain or ",".join(policy.config.terrain.families))
     cells = cells_of(policy.config, families, command.level)
     with Progress(transient=True) as bar:
@@ -136,9 +152,36 @@ def evaluate(command: Eval) -> None:
             policy, cells, command.episodes, command.seed, threads, lambda i, n: bar.update(steps, completed=i, total=n)
         )
     _print_results(answer.results)
+    for family in families:
+        print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
-        _write_json(command, policy, answer)
-    _write_pictures(command.pictures or policy.path.parent / "pictures", answer)
+        _write_json(command.json, _arrival_content(command, policy, answer))
+    _write_pictures(command.pictures or policy.path.parent / "pictures", answer.episodes, with_film=True)
+
+
+def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
+    if command.level is not None:
+        raise ArriveError("--level goes with --protocol arrival; choose how many levels with --levels")
+    difficulty.check_arguments(command.episodes, command.levels)
+    families = parse_families(command.terrain or ",".join(policy.config.terrain.families))
+    folder = policy.path.parent
+    with Progress() as bar:
+        steps = bar.add_task(f"{folder.name}: {command.episodes} episodes per level", total=None)
+        answer = difficulty.measure(
+            policy,
+            families,
+            command.episodes,
+            command.seed,
+            command.levels,
+            threads,
+            lambda i, n: bar.update(steps, completed=i, total=n),
+        )
+    _print_results([result for results in answer.results.values() for result in results])
+    for results in answer.results.values():
+        print(why_stuck(results))
+    _write_json(command.json or folder / DIFFICULTY_NAME, answer.content)
+    pictures = command.pictures or folder / DIFFICULTY_PICTURES
+    _write_pictures(pictures, answer.episodes, names=list(answer.results))
 
 
 def _print_results(results: list[CellResult]) -> None:
@@ -158,7 +201,7 @@ def _print_results(results: list[CellResult]) -> None:
     Console().print(table)
 
 
-def _write_json(command: Eval, policy: Policy, answer: Arrival) -> None:
+def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict:
     families: dict[str, dict] = {}
     for result in answer.results:
         family = result.cell.family
@@ -174,32 +217,46 @@ def _write_json(command: Eval, policy: Policy, answer: Arrival) -> None:
                 "failures": result.failures,
             }
         )
-    content = {
+    return {
         "families": families,
         "policy": {"samples": policy.samples, "config": to_dict(policy.config)},
         "protocol": {"name": "arrival", "episodes": command.episodes, "seed": command.seed},
         "commit": policy.commit,
     }
+
+
+def _write_json(path: Path, content: dict) -> None:
     try:
-        command.json.parent.mkdir(parents=True, exist_ok=True)
-        command.json.write_text(json.dumps(content, indent=2) + "\n")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content, indent=2) + "\n")
     except OSError as error:
-        raise ArriveError(f"cannot write {command.json}: {error}") from error
+        raise ArriveError(f"cannot write {path}: {error}") from error
+    print(f"result: {path}")
 
 
-def _write_pictures(folder: Path, answer: Arrival) -> None:
-    """A strip per cell and a film of the first, or one line where no graphics library is present."""
+def _write_pictures(
+    folder: Path, episodes: list[Episode], names: list[str] | None = None, with_film: bool = False
+) -> None:
+    """A strip per episode and, if asked, a film of the first; or one line where no graphics library is present."""
+    names = names or [episode.caption.replace(" ", "_") for episode in episodes]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for episode in answer.episodes:
-            picture_strip(episode, folder / f"{episode.caption.replace(' ', '_')}.png")
-        film(answer.episodes[0], folder / f"{answer.episodes[0].caption.replace(' ', '_')}.mp4")
+        for name, episode in zip(names, episodes, strict=True):
+            picture_strip(episode, folder / f"{name}.png")
+        if with_film:
+            film(episodes[0], folder / f"{names[0]}.mp4")
     except GraphicsUnavailable as error:
         print(error)
     except OSError as error:
         raise ArriveError(f"cannot write pictures to {folder}: {error}") from error
     else:
         print(f"pictures: {folder}")
+
+
+def report(command: Report) -> None:
+    """Write the report page and its JSON file."""
+    for path in write_report((command.run, *command.others), command.out):
+        print(f"report: {path}")
 
 
 def list_names(command: List) -> None:
@@ -209,7 +266,8 @@ def list_names(command: List) -> None:
         "presets": {name: _first_line(build) for name, build in PRESETS.items()},
         "robots": {name: robot.description for name, robot in ROBOTS.items()},
         "tasks": {name: _first_line(task) for name, task in TASKS.items()},
-        "rewards": {name: _first_line(term) for name, term in REWARDS.items()} | {CRASH_COST: "Paid once, at a crash."},
+        "rewards": {name: _first_line(term) for task in TASKS.values() for name, term in task.rewards.items()}
+        | {CRASH_COST: "Paid once, at a crash."},
     }
     if command.what is not None and command.what not in names:
         raise unknown_name("list", command.what, names)

@@ -37,7 +37,7 @@ class Finished:
     levels: Tensor
     """Level they were played on."""
     distance: Tensor
-    """Distance to the target at the end [m]."""
+    """How much of the way was left at the end [m]."""
     failures: dict[str, Tensor]
 
 
@@ -49,6 +49,8 @@ class StepLog:
     """Weighted reward of each term, (num_envs,)."""
     diverged: int = 0
     """Simulations that left the finite numbers and were reset."""
+    success: Tensor | None = None
+    """(num_envs,) bool: the episode would be a success if it ended now."""
     finished: Finished | None = None
 
 
@@ -77,7 +79,7 @@ class ArriveEnv(VecEnv):
         self.num_envs, self.num_actions = physics.num_envs, len(robot.joint_names)
         self.device = physics.device
         self.control_dt = config.physics.control_dt
-        self.max_episode_length = round(config.task.episode_s / self.control_dt)
+        self.max_episode_length = round(task.episode_s / self.control_dt)
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
         self._generator = generator
         self._learning = learning = assignment is None
@@ -107,6 +109,7 @@ class ArriveEnv(VecEnv):
             "foot_vel": zeros(n, feet, 3),
             "fresh": torch.ones(n, dtype=torch.bool, device=self.device),
             "shortened": torch.zeros(n, dtype=torch.bool, device=self.device),
+            "retired": torch.zeros(n, dtype=torch.bool, device=self.device),
             "tile": torch.zeros(n, dtype=torch.long, device=self.device),
         }
 
@@ -142,6 +145,11 @@ class ArriveEnv(VecEnv):
             state = self._read(advance=False)
         observation = self.observer.observe(state, self.task.command, self._generator)
         return TensorDict({POLICY: observation}, batch_size=[self.num_envs], device=self.device)
+
+    def retire(self, env_ids: Tensor) -> None:
+        """Take robots out of the simulation for good: an evaluation has seen what it wanted of them."""
+        self._buffers["retired"][env_ids] = True
+        self.physics.retire(env_ids)
 
     # The phases of a step, in order.
 
@@ -195,11 +203,12 @@ class ArriveEnv(VecEnv):
         )
 
     def _terminate(self, state: State) -> tuple[Outcome, Tensor]:
+        self.task.follow(state)
         time_out = self.task.advance(self.control_dt)
         fell = state.base_pos_w[:, 2] < state.fall_height
         crashed = (state.crash_contacts > 0) | ~self._finite
         self._failed = crashed | fell
-        self._ended = time_out | self._failed
+        self._ended = (time_out | self._failed) & ~self._buffers["retired"]
         outcome = self.task.judge(state, crashed, fell)
         return outcome, time_out & ~self._failed
 
@@ -213,11 +222,13 @@ class ArriveEnv(VecEnv):
             terms[CRASH_COST] = self._failed * self.config.task.rewards[CRASH_COST]
         if not bool(self._finite.all()):
             terms = {name: torch.where(self._finite, value, 0.0) for name, value in terms.items()}
-        self.exploration.record(state, command, self._finite & ~self._buffers["shortened"])
+        share, paid = self.task.task_share(state)
+        self.exploration.record(share, paid & self._finite & ~self._buffers["shortened"])
         self.log = StepLog(rewards=terms, diverged=int((~self._finite).sum()))
         return torch.stack(list(terms.values())).sum(0)
 
     def _record(self, outcome: Outcome) -> None:
+        self.log.success = outcome.success
         ids = self._ended.nonzero().squeeze(-1)
         if not len(ids):
             return
@@ -227,7 +238,7 @@ class ArriveEnv(VecEnv):
             success=outcome.success[ids],
             counted=counted,
             levels=self.curriculum.levels[ids],
-            distance=(self.task.command.target_w - self.state.base_pos_w).norm(dim=-1)[ids],
+            distance=outcome.remaining[ids],
             failures={cause: mask[ids] for cause, mask in outcome.failures.items()},
         )
         if self._learning:
@@ -283,6 +294,11 @@ class ArriveEnv(VecEnv):
             velocity[:, :2] = config.push_speed * (2.0 * self._uniform(len(ids), 2) - 1.0)
             self.physics.push(ids, velocity)
             self._stale = True
+
+    @property
+    def exploration_paid(self) -> bool:
+        """Whether an exploration reward is configured and has not been removed yet."""
+        return self.exploration.active and any(name in self._terms for name in EXPLORATION_REWARDS)
 
     def _extras(self, time_out: Tensor) -> dict:
         return {"time_outs": time_out.float()} if self.config.task.bootstrap_timeouts else {}

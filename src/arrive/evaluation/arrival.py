@@ -1,7 +1,7 @@
 """How often a policy arrives: fixed terrain, one episode per robot, no exploration noise."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,14 +9,15 @@ import torch
 from torch import Tensor
 
 from arrive.build import Placement, build_env
-from arrive.config import Config
+from arrive.config import Config, RandomisationConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.pictures import Episode
 from arrive.evaluation.playing import Played, Progress, episode, play
 from arrive.evaluation.policy import Policy
 from arrive.evaluation.wilson import wilson_interval
-from arrive.terrain import Family
+from arrive.task.task import Trial
+from arrive.terrain import Family, Layout
 from arrive.terrain.pool import EVALUATION_SEED_OFFSET, level_values
 
 MAX_ENVS = 2000
@@ -63,10 +64,26 @@ class CellResult:
 
 
 @dataclass(frozen=True)
+class Setting:
+    """What an evaluation changes about the episodes of training."""
+
+    layout: Layout = "training"
+    trial: Trial | None = None
+    """One errand for every robot; None for the task's own commands."""
+    randomise: Callable[[RandomisationConfig], RandomisationConfig] = lambda config: config
+    variants: int | None = None
+    """Worlds per cell; None for as many as in training."""
+
+
+@dataclass(frozen=True)
 class Arrival:
     """The evaluation's answer."""
 
     results: list[CellResult]
+    cell_of_episode: Tensor
+    """(episodes,) index into `results`."""
+    played: list[Played]
+    """All episodes, in parts."""
     episodes: list[Episode]
     """One recorded episode per cell, for pictures."""
 
@@ -99,10 +116,12 @@ def evaluate(
     seed: int,
     threads: int = 0,
     progress: Progress = lambda done, total: None,
+    setting: Setting = Setting(),
 ) -> Arrival:
-    """Measure the arrival rate on terrain that the policy was not trained on.
+    """Measure the success rate on terrain that the policy was not trained on.
 
-    Targets, noise, friction, payload and pushes are those of its training; every episode has the full length.
+    But for the setting, commands, noise, friction, payload and pushes are those of its training; every episode has
+    the full length.
 
     Args:
         episodes: per cell.
@@ -118,17 +137,24 @@ def evaluate(
     played: list[Played] = []
     pictures: dict[int, Episode] = {}
     for index, part in enumerate(parts):
-        env = _environment(policy.config, cells, part, seed + index, threads)
+        env = _environment(policy.config, cells, part, _part_seed(seed, index), threads, setting)
         policy.check(env)
         watched = _one_per_cell(part, pictures)
         played.append(play(env, policy, watched, lambda i, n, index=index: progress(index * n + i, len(parts) * n)))
         for column, env_id in enumerate(watched.tolist()):
             cell = int(part[env_id])
             pictures[cell] = episode(env, played[-1], column, cells[cell].caption)
-    return Arrival(_tabulate(cells, cell_of_episode, played), list(pictures.values()))
+    return Arrival(_tabulate(cells, cell_of_episode, played), cell_of_episode, played, list(pictures.values()))
 
 
-def _environment(config: Config, cells: Sequence[Cell], part: Tensor, seed: int, threads: int) -> ArriveEnv:
+def _part_seed(seed: int, index: int) -> int:
+    """Seed of one part of an evaluation; neighbouring seeds share no part."""
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
+
+
+def _environment(
+    config: Config, cells: Sequence[Cell], part: Tensor, seed: int, threads: int, setting: Setting
+) -> ArriveEnv:
     """Robots that stay on the cells they are dealt."""
     present = sorted(set(part.tolist()))
     families = list(dict.fromkeys(cells[i].family.name for i in present))
@@ -139,10 +165,13 @@ def _environment(config: Config, cells: Sequence[Cell], part: Tensor, seed: int,
         config,
         num_envs=len(part),
         seed=seed,
-        terrain=replace(config.terrain, families=tuple(families)),
+        terrain=replace(config.terrain, families=tuple(families), variants=setting.variants or config.terrain.variants),
+        randomisation=setting.randomise(config.randomisation),
         task=replace(config.task, episode_min_s=config.task.episode_s),
     )
     placement = Placement(
+        layout=setting.layout,
+        trial=setting.trial,
         values=tuple(tuple(values[name]) for name in families),
         seed_offset=EVALUATION_SEED_OFFSET,
         assignment=(family, level),

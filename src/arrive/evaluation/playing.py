@@ -22,15 +22,19 @@ class Played:
     success: Tensor
     """(n,) bool."""
     distance: Tensor
-    """(n,) to the target at the end [m]."""
+    """(n,) what was left of the way at the end [m]."""
     steps: Tensor
     """(n,) policy steps it took."""
+    reached: Tensor
+    """(n,) policy steps until it first would have been a success, 0 where it never was."""
     cause: list[str]
     """(n,) why it failed, empty where it did not."""
     tile: Tensor
     """(n,) tile it was played on."""
     target_w: Tensor
     """(n, 3) [m]."""
+    trace_w: Tensor
+    """(longest episode + 1, n, 3) base positions; after the end of an episode the last one is repeated [m]."""
     qpos: np.ndarray
     """(longest episode + 1, watched robots, nq) poses in MuJoCo's order."""
     watched: Tensor
@@ -49,9 +53,11 @@ def play(env: ArriveEnv, policy: Policy, watched: Tensor, progress: Progress = l
         success=torch.zeros(n, dtype=torch.bool),
         distance=torch.zeros(n),
         steps=torch.zeros(n, dtype=torch.long),
+        reached=torch.zeros(n, dtype=torch.long),
         cause=[""] * n,
         tile=env.tile_of_env.clone(),
-        target_w=env.task.command.target_w.clone(),
+        target_w=env.task.destination_w.clone(),
+        trace_w=env.state.base_pos_w.repeat(env.max_episode_length + 1, 1, 1),
         qpos=np.zeros(0),
         watched=watched,
     )
@@ -60,7 +66,9 @@ def play(env: ArriveEnv, policy: Policy, watched: Tensor, progress: Progress = l
     for step in range(env.max_episode_length):
         observation = env.step(policy.act(observation))[0][POLICY]
         poses.append(_poses(env, watched))
+        played.reached[waiting & env.log.success & (played.reached == 0)] = step + 1
         _note_ended(env, played, waiting, step + 1)
+        played.trace_w[step + 1] = torch.where(waiting[:, None], env.state.base_pos_w, played.trace_w[step])
         progress(step + 1, env.max_episode_length)
         if not bool(waiting.any()):
             break
@@ -79,11 +87,12 @@ def _note_ended(env: ArriveEnv, played: Played, waiting: Tensor, step: int) -> N
         for env_id in ended.env_ids[new & mask].tolist():
             played.cause[env_id] = cause
     waiting[ids] = False
+    env.retire(ids)
 
 
 def _poses(env: ArriveEnv, watched: Tensor) -> np.ndarray:
-    readings = env.physics.read()
-    parts = (readings.base_pos_w, readings.base_quat_w, readings.joint_pos)
+    state = env.state
+    parts = (state.base_pos_w, state.base_quat_w, state.joint_pos)
     return torch.cat([part[watched] for part in parts], dim=-1).numpy()
 
 

@@ -161,13 +161,15 @@ def _families(families: dict[str, FamilyReport], bars: str) -> Table:
     table.add_column("terrain", no_wrap=True)
     table.add_column("arrival", justify="right", no_wrap=True)
     table.add_column("mean level", justify="right", no_wrap=True)
-    table.add_column("robots by level, easiest first", no_wrap=True)
+    table.add_column("robots by level", no_wrap=True)
+    table.add_column("fails most by", no_wrap=True)
     for name, family in families.items():
         if len(family.levels) > 1:
             level = [f"{family.mean_level:.1f} of {len(family.levels) - 1}", level_bars(family.levels, bars)]
         else:
             level = ["", ""]
-        table.add_row(name, _percent(family.arrival), *level)
+        worst = _top(family.failures)[:1] if any(family.failures.values()) else []
+        table.add_row(name, _percent(family.arrival), *level, *(f"{cause} {_percent(share)}" for cause, share in worst))
     return table
 
 

@@ -13,6 +13,8 @@ class FamilyReport:
     """Mean terrain level of the robots now on this family."""
     levels: tuple[int, ...]
     """Number of robots on each level."""
+    failures: dict[str, float] = field(default_factory=dict)
+    """Share of the family's recently finished episodes per cause of failure."""
 
 
 @dataclass(frozen=True)

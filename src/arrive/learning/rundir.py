@@ -40,7 +40,7 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
     """
     if folder is None:
         terrain = "-".join(config.terrain.families) if len(config.terrain.families) < 4 else "mixed"
-        folder = RUNS / f"{time.strftime('%Y%m%d-%H%M%S')}-{terrain}-{config.preset}-{config.seed}"
+        folder = RUNS / f"{time.strftime('%Y%m%d-%H%M%S')}-{terrain}-{config.task.name}-{config.preset}-{config.seed}"
     if (folder / CONFIG_NAME).exists():
         raise ArriveError(f"{folder} already holds a run; continue it with --resume {folder}, or choose another folder")
     try:

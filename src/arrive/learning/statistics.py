@@ -63,11 +63,11 @@ class TrainingStatistics:
         episodes = self._total("episodes", family)
         return self._total("success", family) / episodes if episodes else float("nan")
 
-    def failures(self) -> dict[str, float]:
+    def failures(self, family: int | None = None) -> dict[str, float]:
         """Share of the recent episodes per cause of failure."""
-        episodes = self._total("episodes")
+        episodes = self._total("episodes", family)
         causes = {name for row in self._recent for name in row} - {"episodes", "success"}
-        return {name: self._total(name) / episodes for name in sorted(causes)} if episodes else {}
+        return {name: self._total(name, family) / episodes for name in sorted(causes)} if episodes else {}
 
     def families(self, env: ArriveEnv) -> dict[str, FamilyReport]:
         """Arrival and levels per terrain family."""
@@ -75,7 +75,12 @@ class TrainingStatistics:
         for index, name in enumerate(self._names):
             levels = env.curriculum.levels[env.family_of_env == index]
             histogram = torch.bincount(levels, minlength=env.pool.num_levels[index])
-            reports[name] = FamilyReport(self.arrival(index), float(levels.float().mean()), tuple(histogram.tolist()))
+            reports[name] = FamilyReport(
+                arrival=self.arrival(index),
+                mean_level=float(levels.float().mean()),
+                levels=tuple(histogram.tolist()),
+                failures=self.failures(index),
+            )
         return reports
 
     def state_dict(self) -> list[dict[str, list[float]]]:

@@ -161,7 +161,7 @@ class Trainer:
             time_left_s=self.elapsed_s * max(1.0 / spent - 1.0, 0.0) if spent else float("nan"),
             samples_per_s=batch / seconds,
             arrival=self._statistics.arrival(),
-            exploration_active=self.env.exploration.active,
+            exploration_active=self.env.exploration_paid,
             task_fraction=self.env.exploration.fraction,
             families=self._statistics.families(self.env),
             rewards=rewards,

@@ -55,6 +55,9 @@ class Physics(Protocol):
     def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
         """Add (n, 3) world-frame velocity to the bases [m/s]."""
 
+    def retire(self, env_ids: Tensor) -> None:
+        """Leave environments out of every further step, where an evaluation has seen what it wanted."""
+
     def step(self, joint_targets: Tensor) -> None:
         """Advance one policy step with (num_envs, num_joints) joint targets [rad]."""
 

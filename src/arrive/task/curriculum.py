@@ -4,8 +4,6 @@ import torch
 from torch import Tensor
 
 from arrive.config import TaskConfig
-from arrive.task.rewards import distance_to_target, in_window
-from arrive.task.state import Command, State
 
 
 class LevelCurriculum:
@@ -52,7 +50,7 @@ class ExplorationSwitch:
         self._config = config
         self.active = True
         self.fraction = 0.0
-        """Mean of 1 / (1 + d^2) inside the window at the last decision: the task reward over its maximum."""
+        """Mean task reward over its maximum while it was paid, at the last decision."""
         self._sum, self._count, self._steps = 0.0, 0, 0
 
     @property
@@ -60,16 +58,15 @@ class ExplorationSwitch:
         """What the exploration reward is multiplied by."""
         return 1.0 if self.active else self._config.exploration_kept
 
-    def record(self, state: State, command: Command, eligible: Tensor) -> None:
+    def record(self, share: Tensor, paid: Tensor) -> None:
         """Take in one policy step; every CHECK_STEPS decide.
 
         Args:
-            eligible: (num_envs,) bool: the robot is in an episode of full length.
+            share: (num_envs,) task reward over its maximum.
+            paid: (num_envs,) bool: it is being paid, in an episode of full length.
         """
-        inside = in_window(command, self._config.reward_window_s) & eligible
-        share = 1.0 / (1.0 + distance_to_target(state, command).square())
-        self._sum += (share * inside).double().sum().item()
-        self._count += int(inside.sum())
+        self._sum += (share * paid).double().sum().item()
+        self._count += int(paid.sum())
         self._steps += 1
         if self._steps == self.CHECK_STEPS:
             self._decide()

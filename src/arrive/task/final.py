@@ -7,11 +7,18 @@ from arrive.config import Config
 from arrive.robots.robot import Robot
 from arrive.task.heights import look_up
 from arrive.task.observations import ObservationTerm, observation_terms
-from arrive.task.rewards import REWARDS, STALL_SPEED, RewardFunction, distance_to_target
+from arrive.task.rewards import REWARDS, STALL_SPEED, RewardFunction, distance_to_target, task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
-from arrive.task.task import Outcome, Start
+from arrive.task.task import Outcome, Start, Trial
 from arrive.terrain.pool import Rasters
+
+OBSTACLE_HEIGHT = 0.6
+"""Ground this much above robot and target, on the line between them, is what the robot did not get around [m]."""
+APPROACH = 0.3
+"""Who came less than this nearer to the target was not stopped by the terrain [m]."""
+LINE_POINTS = 64
+"""Places on that line that are looked at: at most 0.1 m apart."""
 
 
 class FinalPositionTask:
@@ -24,19 +31,15 @@ class FinalPositionTask:
         config: Config,
         rasters: Rasters,
         generator: torch.Generator,
-        fixed_target: tuple[float, float] | None = None,
+        trial: Trial | None = None,
     ):
-        """Build the task with no commands yet.
-
-        Args:
-            fixed_target: horizontal position of every target in the tile's frame, instead of drawing them [m].
-        """
+        """Build the task with no commands yet."""
         self._config = config.task
         self._dt = config.physics.control_dt
         self._observation = config.observation
         self._rasters = rasters
         self._generator = generator
-        self._fixed_target = fixed_target
+        self._trial = trial
         device, num_envs = rasters.heights.device, config.num_envs
         self._command = Command(
             target_w=torch.zeros(num_envs, 3, device=device),
@@ -44,10 +47,23 @@ class FinalPositionTask:
             start_distance=torch.ones(num_envs, device=device),
             counts=torch.zeros(num_envs, dtype=torch.bool, device=device),
         )
+        self._tile_ids = torch.zeros(num_envs, dtype=torch.long, device=device)
+
+    @staticmethod
+    def configure(config: Config) -> Config:
+        return config
+
+    @property
+    def episode_s(self) -> float:
+        return self._config.episode_s if self._trial is None else self._trial.duration_s
 
     @property
     def command(self) -> Command:
         return self._command
+
+    @property
+    def destination_w(self) -> Tensor:
+        return self._command.target_w
 
     def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
         return observation_terms(robot, self._observation, self._config.episode_s)
@@ -55,12 +71,16 @@ class FinalPositionTask:
     def new_command(self, start: Start, first: bool) -> None:
         config, ids = self._config, start.env_ids
         command = self._command
+        self._tile_ids[ids] = start.tile_ids
         targets = self._targets(start)
         crossing = look_up(self._rasters.crossing, start.tile_ids, targets[:, None, :2]).squeeze(1)
         command.target_w[ids] = targets
         command.start_distance[ids] = (targets - start.base_pos_w).norm(dim=-1)
         draw = torch.rand(len(ids), generator=self._generator, device=targets.device)
-        if first:
+        if self._trial is not None:
+            command.time_left_s[ids] = self._trial.duration_s
+            command.counts[ids] = crossing
+        elif first:
             # Robots that all began together would end together; a shortened episode proves nothing.
             command.time_left_s[ids] = config.episode_s * draw
             command.counts[ids] = False
@@ -71,11 +91,14 @@ class FinalPositionTask:
             command.counts[ids] = crossing
 
     def _targets(self, start: Start) -> Tensor:
-        if self._fixed_target is None:
+        if self._trial is None:
             return sample_targets(self._rasters, start.tile_ids, start.base_pos_w, self._config, self._generator)
-        point = torch.tensor(self._fixed_target, device=start.base_pos_w.device).expand(len(start.env_ids), 2)
+        point = torch.tensor(self._trial.target, device=start.base_pos_w.device).expand(len(start.env_ids), 2)
         ground = look_up(self._rasters.heights, start.tile_ids, point.unsqueeze(1))
         return torch.cat([point, ground + self._config.target_height], dim=-1)
+
+    def follow(self, state: State) -> None:
+        """Nothing of the way counts, only its end."""
 
     def advance(self, dt: float) -> Tensor:
         self._command.time_left_s -= dt
@@ -89,6 +112,8 @@ class FinalPositionTask:
         slow = state.base_lin_vel_w.norm(dim=-1) < STALL_SPEED
         far = distance > 0.5 * self._command.start_distance
         lost = ~success & (far | failed) if self._config.demotion == "far" else ~success
+        missed = ~success & ~failed
+        apart = self._apart(state, missed)
         return Outcome(
             success=success,
             promote=success & self._command.counts,
@@ -96,14 +121,41 @@ class FinalPositionTask:
             failures={
                 "crash": crashed & ~fell,
                 "fell": fell,
-                "stalled": ~success & ~failed & slow,
-                "late": ~success & ~failed & ~slow,
+                "wrong_side": missed & apart,
+                "stalled": missed & ~apart & slow,
+                "late": missed & ~apart & ~slow,
             },
+            remaining=distance,
         )
 
+    def _apart(self, state: State, missed: Tensor) -> Tensor:
+        """(n,) bool: the robot set out but the terrain still lies before its target, for episodes that end now.
+
+        The target counts as crossing but the robot's place does not (a gap, a wall, stairs), or a high obstacle stands
+        on the straight line.
+        """
+        apart = torch.zeros_like(missed)
+        came = self._command.start_distance - distance_to_target(state, self._command) > APPROACH
+        ids = (missed & came & (self._command.time_left_s <= 0.01)).nonzero().squeeze(-1)
+        if not len(ids):
+            return apart
+        tiles, here, there = self._tile_ids[ids], state.base_pos_w[ids, :2], self._command.target_w[ids, :2]
+        before = self._command.counts[ids] & ~look_up(self._rasters.crossing, tiles, here[:, None]).squeeze(1)
+        along = torch.linspace(0.0, 1.0, LINE_POINTS, device=here.device)[:, None]
+        heights = look_up(self._rasters.heights, tiles, torch.lerp(here[:, None], there[:, None], along))
+        blocked = heights.amax(-1) > torch.maximum(heights[:, 0], heights[:, -1]) + OBSTACLE_HEIGHT
+        apart[ids] = before | blocked
+        return apart
+
+    def task_share(self, state: State) -> tuple[Tensor, Tensor]:
+        return task_share(state, self._command, self._config)
+
     def state_dict(self) -> dict[str, Tensor]:
-        return {name: value.clone() for name, value in vars(self._command).items()}
+        return {name: value.clone() for name, value in self._memory().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        for name, value in vars(self._command).items():
+        for name, value in self._memory().items():
             value.copy_(state[name])
+
+    def _memory(self) -> dict[str, Tensor]:
+        return vars(self._command) | {"tile_ids": self._tile_ids}

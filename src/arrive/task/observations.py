@@ -34,7 +34,8 @@ class ObservationTerm:
     """Half-width of the uniform noise, in `unit`."""
     mirror: tuple[tuple[int, float], ...]
     """For each entry, the entry it takes from and the sign under left-right reflection."""
-    compute: Callable[[State, Command], Tensor]
+    compute: Callable[[State, Any], Tensor]
+    """Of the state and the task's own command."""
 
     @property
     def size(self) -> int:
@@ -53,7 +54,20 @@ def joint_mirror(robot: Robot) -> tuple[tuple[int, float], ...]:
 
 
 def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float) -> tuple[ObservationTerm, ...]:
-    """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise.
+    """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise."""
+    target_and_time = (
+        ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR,
+                        lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
+        ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),),
+                        lambda s, c: c.time_left_s.unsqueeze(-1)),
+    )  # fmt: skip
+    return around_command(robot, config, target_and_time)
+
+
+def around_command(
+    robot: Robot, config: ObservationConfig, command_terms: tuple[ObservationTerm, ...]
+) -> tuple[ObservationTerm, ...]:
+    """What the policy of every task senses, with the terms of the task's own command in their place.
 
     The direction of gravity is not in the paper's list but in the set-up of Rudin et al. 2021 that it builds on.
     """
@@ -70,10 +84,7 @@ def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float)
                         lambda s, c: s.base_ang_vel_b),
         ObservationTerm("gravity", "1", "base", XYZ, 1.0, config.noise_gravity, VECTOR_MIRROR,
                         lambda s, c: s.gravity_b),
-        ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR,
-                        lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
-        ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),),
-                        lambda s, c: c.time_left_s.unsqueeze(-1)),
+        *command_terms,
         ObservationTerm("joint_pos", "rad", "relative to the default pose", joints, 1.0, config.noise_joint_pos,
                         mirror_joints, lambda s, c: s.joint_pos - default.to(s.joint_pos)),
         ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, mirror_joints,

@@ -1,22 +1,19 @@
 """Tasks by name; a new task is one module and one line here."""
 
-from collections.abc import Callable
-
-import torch
-
-from arrive.config import Config
 from arrive.errors import unknown_name
+from arrive.task.continuous import ContinuousPositionTask
 from arrive.task.final import FinalPositionTask
 from arrive.task.task import Task
-from arrive.terrain.pool import Rasters
+from arrive.task.velocity import VelocityTask
 
-TaskFactory = Callable[[Config, Rasters, torch.Generator, tuple[float, float] | None], Task]
+TASKS: dict[str, type[Task]] = {
+    "final": FinalPositionTask,
+    "continuous": ContinuousPositionTask,
+    "velocity": VelocityTask,
+}
 
 
-TASKS: dict[str, TaskFactory] = {"final": FinalPositionTask}
-
-
-def get_task(name: str) -> TaskFactory:
+def get_task(name: str) -> type[Task]:
     """The task of that name.
 
     Raises:

@@ -4,6 +4,7 @@ Rewards are positive; costs are named `*_cost`, are positive too, and get negati
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -35,6 +36,12 @@ def task(state: State, command: Command, config: TaskConfig) -> Tensor:
     """
     distance_sq = (command.target_w - state.base_pos_w).square().sum(-1)
     return in_window(command, config.reward_window_s) / (config.reward_window_s * (1.0 + distance_sq))
+
+
+def task_share(state: State, command: Command, config: TaskConfig) -> tuple[Tensor, Tensor]:
+    """(n,) the task reward over its maximum, 1/(1 + |x - x*|^2), and (n,) bool: it is being paid."""
+    share = 1.0 / (1.0 + distance_to_target(state, command).square())
+    return share, in_window(command, config.reward_window_s)
 
 
 def exploration(state: State, command: Command, config: TaskConfig) -> Tensor:
@@ -103,21 +110,27 @@ def tilt_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     return state.gravity_b[:, :2].square().sum(-1)
 
 
-RewardFunction = Callable[[State, Command, TaskConfig], Tensor]
+RewardFunction = Callable[[State, Any, TaskConfig], Tensor]
+"""Of the state, the task's own command, and the configuration."""
 
-REWARDS: dict[str, RewardFunction] = {
-    "task": task,
-    "exploration": exploration,
-    "stall_cost": stall_cost,
+MOTION_COSTS: dict[str, RewardFunction] = {
     "joint_acc_cost": joint_acc_cost,
     "torque_cost": torque_cost,
     "collision_cost": collision_cost,
     "action_rate_cost": action_rate_cost,
     "foot_acc_cost": foot_acc_cost,
-    "approach": approach,
-    "stand": stand,
     "tilt_cost": tilt_cost,
 }
+"""Costs of moving, whatever the command; every task has them."""
+
+REWARDS: dict[str, RewardFunction] = {
+    "task": task,
+    "exploration": exploration,
+    "stall_cost": stall_cost,
+    "approach": approach,
+    "stand": stand,
+} | MOTION_COSTS
+"""Terms of the tasks that send robots to places."""
 EXPLORATION_REWARDS = ("exploration", "approach")
 """Terms that lead the way to the target and are removed, or weakened, once it is found."""
 CRASH_COST = "crash_cost"

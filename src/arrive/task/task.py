@@ -1,14 +1,17 @@
 """What an environment asks of a task; one module per task implements it."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
+import torch
 from torch import Tensor
 
+from arrive.config import Config
 from arrive.robots.robot import Robot
 from arrive.task.observations import ObservationTerm
 from arrive.task.rewards import RewardFunction
-from arrive.task.state import Command, State
+from arrive.task.state import State
+from arrive.terrain.pool import Rasters
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,22 @@ class Outcome:
     """The terrain level goes down."""
     failures: dict[str, Tensor]
     """By cause; every episode without success has exactly one."""
+    remaining: Tensor
+    """(n,) how much of the way is left [m], a number: the distance to the target, or what was not walked."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The same errand for every robot, instead of commands that are drawn; each task reads what concerns it."""
+
+    duration_s: float
+    """Length of every episode [s]."""
+    target: tuple[float, float]
+    """Where robots that are sent to places must be at the end, in the tile's frame [m]."""
+    speed: float
+    """Forward speed at which robots that follow a velocity are sent along the tile's x axis [m/s]."""
+    walk: float
+    """How far along the x axis these must get [m]."""
 
 
 class Task(Protocol):
@@ -41,24 +60,47 @@ class Task(Protocol):
 
     rewards: dict[str, RewardFunction]
 
+    def __init__(
+        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None
+    ) -> None:
+        """Build the task with no commands yet; a `trial` replaces those that are drawn."""
+
+    @staticmethod
+    def configure(config: Config) -> Config:
+        """A preset with what this task needs: its episode, rewards and bootstrapping."""
+
+    @property
+    def episode_s(self) -> float:
+        """The longest episode [s]."""
+
     def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
         """The policy's observation."""
 
     def new_command(self, start: Start, first: bool) -> None:
         """Give starting robots a command; `first` spreads the phases of a run's first episodes."""
 
+    def follow(self, state: State) -> None:
+        """Take in where the robots are after a step, for what a task remembers of them."""
+
     def advance(self, dt: float) -> Tensor:
         """Let time pass; (num_envs,) bool: the episode's time is over."""
 
     @property
-    def command(self) -> Command:
-        """The present commands."""
+    def command(self) -> Any:
+        """The present commands, as the task's observations and rewards read them."""
+
+    @property
+    def destination_w(self) -> Tensor:
+        """(num_envs, 3) where the commands lead [m], to be drawn in pictures."""
+
+    def task_share(self, state: State) -> tuple[Tensor, Tensor]:
+        """(num_envs,) the task reward over its maximum, and (num_envs,) bool whether it is being paid."""
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
         """How every episode stands."""
 
     def state_dict(self) -> dict[str, Tensor]:
-        """The commands, to go on exactly."""
+        """The commands and what the task remembers, to go on exactly."""
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on exactly."""

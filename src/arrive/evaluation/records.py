@@ -1,0 +1,93 @@
+"""What a run's folder holds for a report: how it was trained, how it was measured, its pictures."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from arrive.errors import ArriveError
+from arrive.evaluation.arrival import Cell, CellResult
+from arrive.learning.logs import LOG_NAME, read_log
+from arrive.learning.rundir import read_config
+from arrive.terrain import get_family
+
+DIFFICULTY_NAME = "difficulty.json"
+DIFFICULTY_PICTURES = "pictures/difficulty"
+"""Folder of a strip per family, under the run's."""
+SYMBOLS = {"velocity": "V", "continuous": "P_c", "final": "P_f"}
+"""The paper's names of the tasks."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run, as far as it got."""
+
+    name: str
+    record: dict[str, Any]
+    """config.json: configuration, commit, command and seed of the training."""
+    log: dict[str, list[float]]
+    """Columns of log.csv; empty where there is none."""
+    difficulty: dict[str, Any] | None
+    """difficulty.json, or None where the run was not measured."""
+    pictures: dict[str, Path]
+    """Strips by family."""
+
+    @property
+    def task(self) -> str:
+        """Name of the task it was trained on."""
+        return self.record["config"]["task"]["name"]
+
+    @property
+    def label(self) -> str:
+        """The paper's symbol of the task and the run's name, for charts."""
+        symbol = f"${SYMBOLS[self.task]}$" if self.task in SYMBOLS else self.task
+        return f"{symbol} ({self.name})"
+
+    @property
+    def samples(self) -> int:
+        """Policy steps it was trained for."""
+        if self.difficulty is not None:
+            return int(self.difficulty["policy"]["samples"])
+        return int(self.log["progress/samples"][-1]) if self.log.get("progress/samples") else 0
+
+    def results(self) -> dict[str, list[CellResult]]:
+        """What was measured, by family; empty where nothing was."""
+        families = self.difficulty["families"] if self.difficulty else {}
+        return {name: _results(name, entry) for name, entry in families.items()}
+
+
+def _results(name: str, entry: dict[str, Any]) -> list[CellResult]:
+    family = get_family(name)
+    return [
+        CellResult(
+            Cell(family, i, level["value"]),
+            level["episodes"],
+            round(level["success"] * level["episodes"]),
+            float("nan"),
+            level["failures"],
+        )
+        for i, level in enumerate(entry["levels"])
+    ]
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run's folder.
+
+    Raises:
+        ArriveError: no run, or a file in it that cannot be read.
+    """
+    _, record = read_config(folder)
+    measured = folder / DIFFICULTY_NAME
+    try:
+        difficulty = json.loads(measured.read_text()) if measured.is_file() else None
+        families = list(difficulty["families"]) if difficulty else []
+    except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
+        raise ArriveError(f"cannot read {measured}: {error!r}. Measure the run again.") from error
+    strips = {name: folder / DIFFICULTY_PICTURES / f"{name}.png" for name in families}
+    return Run(
+        name=folder.resolve().name,
+        record=record,
+        log=read_log(folder) if (folder / LOG_NAME).is_file() else {},
+        difficulty=difficulty,
+        pictures={name: path for name, path in strips.items() if path.is_file()},
+    )

@@ -1,0 +1,85 @@
+"""The paper's Table I beside our figures, and which of the paper's relations hold."""
+
+import statistics
+from collections.abc import Sequence
+from typing import Any
+
+from arrive.evaluation.records import SYMBOLS, Run
+from arrive.terrain import FAMILIES
+
+PAPER: dict[str, dict[str, float | None]] = {
+    "stairs": {"velocity": 0.22, "continuous": 0.20, "final": 0.40},
+    "slope": {"velocity": 35.0, "continuous": 21.0, "final": 48.0},
+    "steps": {"velocity": 0.14, "continuous": 0.16, "final": 0.20},
+    "obstacles": {"velocity": 0.35, "continuous": None, "final": 0.85},
+    "gap": {"velocity": 0.15, "continuous": 0.65, "final": 1.20},
+    "pit": {"velocity": 0.10, "continuous": 0.65, "final": 0.95},
+}
+"""Maximum difficulty solved with 95 % success (paper, Table I); None where it reports a failure."""
+LIMITS = ("max_at_95", "max_at_80", "max_at_50")
+RELATIONS = (("final", "velocity", True), ("continuous", "velocity", True), ("final", "continuous", False))
+"""The paper's claims: the first task solves harder terrain than the second, or (False) at least as hard."""
+
+
+def make_table(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """One row per family of the paper's table or measured here: the paper's figures, and each run's beside them."""
+    measured = {family for run in runs for family in run.results()}
+    names = [*PAPER, *(name for name in FAMILIES if name in measured and name not in PAPER)]
+    return [
+        {
+            "family": name,
+            "parameter": FAMILIES[name].parameter,
+            "unit": FAMILIES[name].unit,
+            "paper": PAPER.get(name),
+            "ours": [_entry(run, name) for run in runs if name in run.results()],
+        }
+        for name in names
+    ]
+
+
+def _entry(run: Run, family: str) -> dict[str, Any]:
+    content = run.difficulty["families"][family]
+    episodes = [level["episodes"] for level in content["levels"]]
+    return {
+        "run": run.name,
+        "task": run.task,
+        "levels": len(episodes),
+        "episodes": sum(episodes),
+        "hardest": content["levels"][-1]["value"],
+    } | {limit: content[limit] for limit in LIMITS}
+
+
+def make_relations(table: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each of the paper's claims by family: `holds`, `fails`, or `open` where neither task solves any level.
+
+    Several runs of one task stand for it by their median. Where both tasks solve the same at 95 %, or nothing, 80 and
+    then 50 % decide. Families that do not measure both tasks are left out.
+    """
+    rows = []
+    for better, worse, strictly in RELATIONS:
+        verdicts = {}
+        for row in table:
+            ours = {task: [entry for entry in row["ours"] if entry["task"] == task] for task in (better, worse)}
+            if all(ours.values()) and row["unit"]:
+                verdicts[row["family"]] = _compare(ours[better], ours[worse], strictly)
+        claim = f"{SYMBOLS[better]} {'above' if strictly else 'at least'} {SYMBOLS[worse]}"
+        rows.append({"claim": claim, "families": verdicts})
+    return rows
+
+
+def _compare(better: list[dict[str, Any]], worse: list[dict[str, Any]], strictly: bool) -> dict[str, Any]:
+    first, second = None, None
+    for limit in LIMITS:
+        first, second = _median(better, limit), _median(worse, limit)
+        if first != second:
+            higher = (-1.0 if first is None else first) > (-1.0 if second is None else second)
+            return {"verdict": "holds" if higher else "fails", "by": limit, "values": [first, second]}
+    if first is None:
+        return {"verdict": "open", "by": LIMITS[-1], "values": [None, None]}
+    return {"verdict": "fails" if strictly else "holds", "by": LIMITS[-1], "values": [first, second]}
+
+
+def _median(entries: list[dict[str, Any]], limit: str) -> float | None:
+    """The lower median; None, nothing solved, is below every value."""
+    value = statistics.median_low([-1.0 if entry[limit] is None else entry[limit] for entry in entries])
+    return None if value < 0 else value
