@@ -123,6 +123,8 @@ class Trainer:
         check_terms("observation", terms)
 
     def _learn(self) -> dict[str, float]:
+        exploring = self.env.exploration.active
+        self.algorithm.entropy_coef = self.config.ppo.entropy if exploring else self.config.ppo.entropy_after
         losses = self.algorithm.update()
         check_losses(losses, self._parameters())
         std = float(self.algorithm.get_policy().distribution.log_std_param.detach().exp().mean())
