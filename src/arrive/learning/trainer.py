@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
-from arrive.config import Config, to_dict
+from arrive.config import Config, from_dict, to_dict
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import (
@@ -224,7 +224,7 @@ class Trainer:
         content = self._load_matching(path)
         if "state" not in content:
             raise ArriveError(f"{path} is a policy, not a training checkpoint; it cannot be resumed")
-        if content["config"] != to_dict(self.config):
+        if from_dict(Config, content["config"]) != self.config:  # fields that are newer than the file have defaults
             raise ArriveError(f"{path} was made with another configuration than {self.folder}/config.json")
         self._restore(content["state"])
         self._good = self._snapshot()
