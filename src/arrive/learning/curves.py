@@ -40,18 +40,22 @@ def plot_curves(folder: Path) -> Path:
 
 
 def _draw(log: Log) -> Figure:
-    """Three wide panels above each other, their legends on the right, and below them the learning figures."""
+    """Wide panels above each other, their legends on the right, and below them the learning figures."""
     small = _group(log, "learning/")
     rows = -(-len(small) // SMALL_COLUMNS)
-    wide_in, small_in = 3 * WIDE_HEIGHT_IN, rows * SMALL_HEIGHT_IN
+    colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(_group(log, "arrival/"))}
+    panels = [lambda axes: _arrival(axes, log, colors), lambda axes: _rewards(axes, log)]
+    if _climbing(log):
+        panels.insert(1, lambda axes: _levels(axes, log, colors))
+    wide_in, small_in = len(panels) * WIDE_HEIGHT_IN, rows * SMALL_HEIGHT_IN
     figure = Figure(figsize=(WIDTH_IN, wide_in + small_in))
     FigureCanvasAgg(figure)
     split, edge = small_in / (wide_in + small_in), 0.4 / (wide_in + small_in)
-    wide = figure.add_gridspec(3, 1, left=0.06, right=0.79, top=1 - edge, bottom=split + 1.6 * edge, hspace=0.35)
-    colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(_group(log, "arrival/"))}
-    _panel(figure, wide[0], log, lambda axes: _arrival(axes, log, colors))
-    _panel(figure, wide[1], log, lambda axes: _levels(axes, log, colors))
-    _panel(figure, wide[2], log, lambda axes: _rewards(axes, log))
+    wide = figure.add_gridspec(
+        len(panels), 1, left=0.06, right=0.79, top=1 - edge, bottom=split + 1.6 * edge, hspace=0.35
+    )
+    for place, draw in enumerate(panels):
+        _panel(figure, wide[place], log, draw)
     if small:
         below = {"top": split - edge, "bottom": 1.4 * edge, "hspace": 0.6, "wspace": 0.22}
         grid = figure.add_gridspec(rows, SMALL_COLUMNS, left=0.06, right=0.98, **below)
@@ -79,11 +83,15 @@ def _arrival(axes: Axes, log: Log, colors: dict[str, str]) -> None:
     _legend(axes)
 
 
+def _climbing(log: Log) -> Log:
+    """Levels of the families that have left their first; one with a single level never does."""
+    return {name: values for name, values in _group(log, "level/").items() if np.nanmax(values, initial=0.0) > 0}
+
+
 def _levels(axes: Axes, log: Log, colors: dict[str, str]) -> None:
     axes.set_title("mean terrain level")
-    for name, values in _group(log, "level/").items():
-        if np.nanmax(values, initial=0.0) > 0:  # a family of one level stays at 0
-            _curve(axes, log, values, name, colors.get(name, "black"))
+    for name, values in _climbing(log).items():
+        _curve(axes, log, values, name, colors.get(name, "black"))
     axes.set_ylim(bottom=0)
     _legend(axes)
 
