@@ -13,7 +13,7 @@ from arrive.deployment.heights import GridHeights, HeightGrid, HeightMap, PointC
 from arrive.deployment.inputs import Frame, Sensors, frame_of
 from arrive.deployment.policy_file import PolicyFile, read_policy_file
 from arrive.deployment.rotation import heading, matrix
-from arrive.deployment.safety import BadInput, Limits, Safety, check_sensors, check_terrain
+from arrive.deployment.safety import DEFAULT, BadInput, Limits, Safety, check_sensors, check_terrain
 from arrive.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Controller:
     pose. The policy takes over again once all inputs have been good for `Safety.recover_s`.
     """
 
-    def __init__(self, policy: PolicyFile, safety: Safety = Safety(), log: ControlLog | None = None):
+    def __init__(self, policy: PolicyFile, safety: Safety = DEFAULT, log: ControlLog | None = None):
         """Prepare everything that does not change.
 
         Args:
@@ -79,7 +79,7 @@ class Controller:
         self.reset()
 
     @classmethod
-    def load(cls, path: Path | str, safety: Safety = Safety(), log: ControlLog | None = None) -> Controller:
+    def load(cls, path: Path | str, safety: Safety = DEFAULT, log: ControlLog | None = None) -> Controller:
         """Read an exported policy.
 
         Raises:

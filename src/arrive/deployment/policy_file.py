@@ -220,6 +220,6 @@ def _check_golden(file: PolicyFile) -> None:
     error = np.abs(file.act(observations) - expected).max()
     if not error <= TOLERANCE:
         raise ArriveError(
-            f"{file.path} does not compute what it computed when it was exported: golden actions differ by {error:.2g}, "
-            f"more than {TOLERANCE:g}. The network was changed, or onnxruntime does not work on this machine."
+            f"{file.path} does not compute what it computed when it was exported: golden actions differ by "
+            f"{error:.2g}, more than {TOLERANCE:g}. The network was changed, or onnxruntime does not work here."
         )

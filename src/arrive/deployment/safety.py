@@ -32,6 +32,9 @@ class Safety:
     """Largest speed at which the safe stance moves joint targets to the default pose."""
 
 
+DEFAULT = Safety()
+
+
 def check_sensors(frame: Frame, safety: Safety, joints: int) -> None:
     """Make sure the robot's state is whole and fresh.
 
@@ -90,7 +93,7 @@ class Limits:
         return np.minimum(np.maximum(targets, self._low), self._high)
 
     def within_torque(self, targets: np.ndarray, joint_pos: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
-        """Targets cut so that |stiffness (target - q) - damping w| is within the effort limit, then to the joints' ranges.
+        """Targets cut so that |stiffness (target - q) - damping w| is within the effort limit, then to joint ranges.
 
         The range of the joints wins where the two exclude each other: a joint far outside it is pulled back, by as
         much as the drive itself allows.
