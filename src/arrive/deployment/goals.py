@@ -27,7 +27,7 @@ class Target:
     """On the clock of `now_s` [s]."""
 
     def __post_init__(self):
-        object.__setattr__(self, "position_w", _plain(self.position_w))
+        _set(self, position_w=_point(self.position_w), arrive_at_s=number(self.arrive_at_s))
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,9 @@ class Joystick:
     """-1 to 1, along the heading."""
     left: float
     """-1 to 1, across it."""
+
+    def __post_init__(self):
+        _set(self, forward=number(self.forward), left=number(self.left))
 
 
 @dataclass(frozen=True)
@@ -53,20 +56,35 @@ class WayPoints:
 
     def __post_init__(self):
         try:
-            object.__setattr__(self, "points_w", tuple(_plain(point) for point in self.points_w))
-        except TypeError:
-            object.__setattr__(self, "points_w", ())
+            points = tuple(_point(point) for point in self.points_w)
+        except Exception:
+            points = ()
+        _set(self, points_w=points, speed=number(self.speed), radius=number(self.radius))
 
 
 Goal = Target | Joystick | WayPoints
 
 
-def _plain(point: Any) -> tuple[float, ...]:
-    """As a tuple of floats, empty where it is not made of numbers; the controller refuses that with a reason."""
+def number(value: Any) -> float:
+    """As a float, or NaN where it is not one number; the controller refuses that with a reason."""
     try:
-        return tuple(float(x) for x in point)
-    except (TypeError, ValueError):
+        return float(value)
+    except Exception:  # a control loop must outlive whatever a driver hands over
+        return math.nan
+
+
+def _point(point: Any) -> tuple[float, ...]:
+    """As a tuple of floats, empty where it is none."""
+    try:
+        return tuple(number(x) for x in point)
+    except Exception:
         return ()
+
+
+def _set(goal: Any, **values: Any) -> None:
+    """Put plain values into a frozen goal, so that it can be compared and logged."""
+    for name, value in values.items():
+        object.__setattr__(goal, name, value)
 
 
 class Order(NamedTuple):
@@ -142,7 +160,7 @@ class Navigator:
 
     def _steer(self, stick: Joystick, pos: np.ndarray, yaw: float, ground: float) -> Order:
         """Pseudo-velocity control (paper, sections Energy Consumption and Hardware Deployment)."""
-        if not (_is_finite(stick.forward) and _is_finite(stick.left)):
+        if not (math.isfinite(stick.forward) and math.isfinite(stick.left)):
             raise BadInput("the joystick is not finite")
         magnitude = min(1.0, math.hypot(stick.forward, stick.left))
         height = ground + self._task.target_height_m
@@ -171,7 +189,7 @@ class Navigator:
         """Points before the last only give the direction of a pseudo target, so that nothing asks for a stop there."""
         for point in path.points_w:
             _check_finite("way-point", point, 3)
-        if not path.points_w or not (_is_finite(path.speed) and _is_finite(path.radius)) or path.speed <= 0:
+        if not path.points_w or not (math.isfinite(path.speed) and math.isfinite(path.radius)) or path.speed <= 0:
             raise BadInput("way-points need at least one point, a speed above 0 and a finite radius")
         if path != self._path:
             self._path, self._passed = path, 0
@@ -208,10 +226,6 @@ class Navigator:
         return min(max(time_left_s, self._hold_s), self._task.episode_s)
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and math.isfinite(value)
-
-
-def _check_finite(what: str, point: tuple[float, ...], size: int, *others: Any) -> None:
-    if len(point) != size or not all(_is_finite(x) for x in (*point, *others)):
+def _check_finite(what: str, point: tuple[float, ...], size: int, *others: float) -> None:
+    if len(point) != size or not all(math.isfinite(x) for x in (*point, *others)):
         raise BadInput(f"the {what} is not {size} finite numbers" + (" and a finite time" if others else ""))

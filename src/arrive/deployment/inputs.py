@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from arrive.deployment.goals import Goal, Joystick, Target, WayPoints
+from arrive.deployment.goals import Goal, Joystick, Target, WayPoints, number
 from arrive.deployment.heights import GridHeights, HeightGrid, HeightMap, PointCloud
 from arrive.deployment.rotation import heading
 
@@ -60,16 +60,8 @@ def numbers(value: Any) -> np.ndarray:
     """A copy as float64, or an empty array where it is not made of numbers."""
     try:
         return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except Exception:  # a control loop must outlive whatever a driver hands over
         return NOTHING
-
-
-def number(value: Any) -> float:
-    """As a float, or NaN where it is not one number."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return float("nan")
 
 
 def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightGrid) -> Frame:
