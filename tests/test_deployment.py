@@ -161,13 +161,13 @@ def test_controller_sees_and_does_what_the_environment_does(family, run, exporte
         for i, controller in enumerate(controllers):
             if env.episode_length_buf[i] == 0:
                 controller.reset()
-            # The environment counts down to 0, the controller stops at the hold time.
+            # The environment counts down to 0 and has targets farther away, the controller stops at its limits.
             goal = Target(command.target_w[i].tolist(), now + float(command.time_left_s[i]))
             sensors, heights = sensors_of(state, i, now), GridHeights(state.heights_w[i].numpy(), now)
             frame = frame_of(sensors, goal, heights, now, controller._grid)
             seen, _ = controller.observe(frame)
             mine = observation[i].numpy()
-            if float(command.time_left_s[i]) > 1.0 and np.linalg.norm(mine[9:12]) * 2.0 <= 5.0:
+            if float(command.time_left_s[i]) > 2.0 and np.linalg.norm(mine[9:12]) * 2.0 < 5.0:
                 np.testing.assert_allclose(seen, mine, atol=1e-5, rtol=0)
                 compared += 1
                 controller.step(sensors, goal, heights, now)
@@ -204,10 +204,10 @@ def order(goal, pos=(0.0, 0.0, 0.5), yaw=0.0, ground=0.0, now=0.0, task=TASK, na
 def test_target_counts_down_then_holds():
     goal = Target((3.0, 0.0, 0.5), 5.0)
     assert order(goal).time_left_s == 5.0
-    assert order(goal, now=3.5).time_left_s == 1.5
-    # Half the reward window of 2 s is the least the policy is told.
-    assert order(goal, now=4.5)[1:] == (1.0, "target", "")
-    assert order(goal, now=60.0)[1:] == (1.0, "hold", "time is over")
+    assert order(goal, now=2.5).time_left_s == 2.5
+    # The reward window of 2 s is the least the policy is told.
+    assert order(goal, now=4.5)[1:] == (2.0, "target", "")
+    assert order(goal, now=60.0)[1:] == (2.0, "hold", "time is over")
     assert order(goal, now=-10.0).time_left_s == 6.0
 
 
@@ -225,6 +225,8 @@ def test_far_target_is_pulled_near_at_the_same_pace():
         ((0.0, 1.0), 0.0, (1.0, 5.0), 2.0),
         ((-3.0, 0.0), 0.0, (-2.0, 2.0), 2.0),
         ((1.0, 0.0), math.pi / 2, (1.0, 5.0), 2.0),
+        # Forward means the world's y axis.
+        ((1.0, 0.0, math.pi / 2), 2.5, (1.0, 5.0), 2.0),
         # Half way between dead zone and full: half way between 0.5 and 1.5 m/s.
         ((0.55, 0.0), 0.0, (4.0, 2.0), 3.0),
         ((0.1, 0.0), 0.0, (4.0, 2.0), 6.0),
@@ -251,7 +253,7 @@ def test_released_stick_stops_where_it_was_released():
     for x in (1.0, 1.4):
         result = order(Joystick(0.05, 0.0), pos=(x, 0.0, 0.5), navigator=navigator)
         np.testing.assert_allclose(result.target_w, (1.0, 0.0, 0.5))
-        assert (result.mode, result.time_left_s) == ("stop", 1.0)
+        assert (result.mode, result.time_left_s) == ("stop", 2.0)
 
 
 def test_way_points_are_passed_without_a_stop():
@@ -266,7 +268,7 @@ def test_way_points_are_passed_without_a_stop():
     # The first point does not count again, and the last is held.
     result = order(path, pos=(0.0, 0.0, 0.7), now=9.0, navigator=navigator)
     np.testing.assert_allclose(result.target_w, (2.0, 2.0, 0.7))
-    assert (result.mode, result.time_left_s) == ("hold", 1.0)
+    assert (result.mode, result.time_left_s) == ("hold", 2.0)
 
 
 # Heights.
@@ -363,6 +365,7 @@ BAD_GOALS = {
     "infinite deadline": Target((1.0, 0.0, 0.5), math.inf),
     "flat target": Target((1.0, 0.0), 5.0),
     "NaN stick": Joystick(math.nan, 0.0),
+    "NaN heading": Joystick(1.0, 0.0, math.nan),
     "no stick": Joystick(None, 0.0),
     "no way-points": WayPoints(()),
     "no points": WayPoints(3),

@@ -32,15 +32,18 @@ class Target:
 
 @dataclass(frozen=True)
 class Joystick:
-    """Walk in a direction relative to the robot's heading; magnitudes above 1 count as 1."""
+    """Walk in a direction; magnitudes above 1 count as 1."""
 
     forward: float
     """-1 to 1, along the heading."""
     left: float
     """-1 to 1, across it."""
+    heading_rad: float | None = None
+    """Heading in the world that `forward` means, e.g. the operator's; None for the robot's own."""
 
     def __post_init__(self):
-        _set(self, forward=number(self.forward), left=number(self.left))
+        heading = None if self.heading_rad is None else number(self.heading_rad)
+        _set(self, forward=number(self.forward), left=number(self.left), heading_rad=heading)
 
 
 @dataclass(frozen=True)
@@ -100,14 +103,15 @@ class Order(NamedTuple):
 class Navigator:
     """Turns a goal into the target and the remaining time that the policy was trained on.
 
-    The remaining time stays within [hold time, episode]. The hold time is half the reward window: there training paid
-    for standing at the target, and the episode's end, after which nothing counts, is not in sight.
+    The remaining time stays within [hold time, episode]. The hold time is the reward window, half an episode at most:
+    from there on training paid for standing at the target, and the episode's end, after which nothing counts and a
+    robot may let itself fall, is as far away as it can be.
     """
 
     def __init__(self, task: TaskSpec):
         """Start without a goal."""
         self._task = task
-        self._hold_s = 0.5 * min(task.reward_window_s, task.episode_s)
+        self._hold_s = min(task.reward_window_s, 0.5 * task.episode_s)
         self._reach = task.target_distance_m[1]
         self.reset()
 
@@ -160,7 +164,8 @@ class Navigator:
 
     def _steer(self, stick: Joystick, pos: np.ndarray, yaw: float, ground: float) -> Order:
         """Pseudo-velocity control (paper, sections Energy Consumption and Hardware Deployment)."""
-        if not (math.isfinite(stick.forward) and math.isfinite(stick.left)):
+        heading = yaw if stick.heading_rad is None else stick.heading_rad
+        if not all(map(math.isfinite, (stick.forward, stick.left, heading))):
             raise BadInput("the joystick is not finite")
         magnitude = min(1.0, math.hypot(stick.forward, stick.left))
         height = ground + self._task.target_height_m
@@ -169,7 +174,7 @@ class Navigator:
                 self._anchor = np.array([pos[0], pos[1], height])
             return Order(self._anchor, self._hold_s, "stop", "")
         self.release()
-        angle = yaw + math.atan2(stick.left, stick.forward)
+        angle = heading + math.atan2(stick.left, stick.forward)
         distance, left = self._pace(magnitude)
         target = np.array([pos[0] + distance * math.cos(angle), pos[1] + distance * math.sin(angle), height])
         return Order(target, left, "joystick", "")

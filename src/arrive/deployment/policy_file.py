@@ -118,7 +118,7 @@ class PolicyFile:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """(n, joints) float32 actions for (n, size) float32 scaled observations."""
-        return self.session.run((OUTPUT,), {INPUT: observation})[0]
+        return self.session.run([OUTPUT], {INPUT: observation})[0]
 
 
 def digest(metadata: Mapping[str, str]) -> str:
