@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from arrive import cli
-from arrive.evaluation import pictures
+from arrive.evaluation import graphics, pictures
 from arrive.presets import PRESETS
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
@@ -222,13 +222,13 @@ def test_help_names_the_commands(capsys):
 
 
 def test_without_graphics_an_evaluation_says_so_in_one_line(capsys, trained, tmp_path, monkeypatch):
-    pictures.graphics_backend.cache_clear()
+    graphics.graphics_backend.cache_clear()
     monkeypatch.setenv("MUJOCO_GL", "disabled")
     try:
         evaluation = ["eval", str(trained), "--episodes", "1", "--threads", "1"]
         cli.main([*evaluation, "--json", str(tmp_path / "result.json"), "--pictures", str(tmp_path / "pictures")])
     finally:
-        pictures.graphics_backend.cache_clear()
+        graphics.graphics_backend.cache_clear()
     out, err = capsys.readouterr()
     lines = [line for line in (out + err).splitlines() if "pictures" in line]
     assert len(lines) == 1
@@ -309,8 +309,8 @@ def check_pictures(folder, out: str) -> None:
     """A strip per cell and one film, or one line that says why there are none."""
     made = sorted(path.name for path in folder.iterdir())
     try:
-        pictures.graphics_backend()
-    except pictures.GraphicsUnavailable:
+        graphics.graphics_backend()
+    except graphics.GraphicsUnavailable:
         assert out.count("no pictures: ") == 1
         assert made == []
         return

@@ -17,7 +17,7 @@ from PIL import Image
 from rich.console import Console
 
 from arrive.errors import ArriveError
-from arrive.evaluation import pictures
+from arrive.evaluation import graphics, pictures
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay, level_bars, panel, plain_line
@@ -215,10 +215,10 @@ def make_episode() -> pictures.Episode:
 
 
 @pytest.fixture
-def graphics():
+def backend():
     try:
-        return pictures.graphics_backend()
-    except pictures.GraphicsUnavailable as missing:
+        return graphics.graphics_backend()
+    except graphics.GraphicsUnavailable as missing:
         pytest.skip(str(missing))
 
 
@@ -240,7 +240,7 @@ def test_path_and_target_are_in_view_at_every_step():
         assert (abs(up) < forward * tangent).all()
 
 
-def test_a_strip_shows_robot_and_target(graphics, tmp_path):
+def test_a_strip_shows_robot_and_target(backend, tmp_path):
     pictures.picture_strip(make_episode(), tmp_path / "strip.png", frames=2)
     pixels = np.asarray(Image.open(tmp_path / "strip.png")).astype(int)
     red, green, blue = np.moveaxis(pixels, -1, 0)
@@ -252,7 +252,7 @@ def test_a_strip_shows_robot_and_target(graphics, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["strip.png"]
 
 
-def test_a_film_plays_in_real_time(graphics, tmp_path, monkeypatch):
+def test_a_film_plays_in_real_time(backend, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "FILM_SIZE", (160, 120))
     pictures.film(make_episode(), tmp_path / "film.mp4", fps=10)
     with imageio.get_reader(tmp_path / "film.mp4") as reader:
@@ -264,12 +264,12 @@ def test_a_film_plays_in_real_time(graphics, tmp_path, monkeypatch):
 
 
 def test_without_graphics_the_error_names_the_packages(tmp_path, monkeypatch):
-    pictures.graphics_backend.cache_clear()
-    monkeypatch.setattr(pictures.subprocess, "run", lambda *args, **options: SimpleNamespace(returncode=-11))
-    with pytest.raises(pictures.GraphicsUnavailable, match=r"libosmesa6.*libegl1"):
+    graphics.graphics_backend.cache_clear()
+    monkeypatch.setattr(graphics.subprocess, "run", lambda *args, **options: SimpleNamespace(returncode=-11))
+    with pytest.raises(graphics.GraphicsUnavailable, match=r"libosmesa6.*libegl1"):
         pictures.picture_strip(make_episode(), tmp_path / "strip.png")
     assert not any(tmp_path.iterdir())
-    pictures.graphics_backend.cache_clear()
+    graphics.graphics_backend.cache_clear()
 
 
 def test_without_the_bindings_of_opengl_the_error_is_the_same():
@@ -277,14 +277,14 @@ def test_without_the_bindings_of_opengl_the_error_is_the_same():
     code = """
 import sys
 sys.modules["OpenGL"] = None
-from arrive.evaluation import pictures
-pictures.graphics_backend = lambda: "egl"
+from arrive.evaluation import graphics
+graphics.graphics_backend = lambda: "egl"
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco/>")
 try:
-    with pictures.open_renderer(model, 32, 32):
+    with graphics.open_renderer(model, 32, 32):
         pass
-except pictures.GraphicsUnavailable as error:
+except graphics.GraphicsUnavailable as error:
     print(error)
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -22,7 +22,8 @@ from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import Arrival, CellResult, cells_of
 from arrive.evaluation.arrival import evaluate as evaluate_policy
 from arrive.evaluation.diagnosis import why_stuck
-from arrive.evaluation.pictures import Episode, GraphicsUnavailable, film, picture_strip
+from arrive.evaluation.graphics import GraphicsUnavailable
+from arrive.evaluation.pictures import Episode, film, picture_strip
 from arrive.evaluation.policy import Policy, load_policy
 from arrive.evaluation.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES
 from arrive.evaluation.report import write_report

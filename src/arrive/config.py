@@ -125,7 +125,9 @@ class PPOConfig:
     desired_kl: float = 0.01
     """KL divergence per update that the learning rate is adapted to; 0 keeps the rate fixed."""
     entropy: float = 0.005
-    """Weight of the entropy bonus."""
+    """Weight of the entropy bonus while the exploration rewards are paid."""
+    entropy_after: float = 0.005
+    """Weight of the entropy bonus once they are gone."""
     value_loss: float = 1.0
     """Weight of the value loss."""
     max_grad_norm: float = 1.0

@@ -41,7 +41,9 @@ def robust() -> Config:
             demotion="far",
             rewards=PAPER_REWARDS | {"exploration": 0.0, "approach": 2.0, "crash_cost": -2.0},
         ),
-        ppo=PPOConfig(num_steps=24, gamma=0.995, desired_kl=0.02, entropy=0.001, init_std=0.5, hidden=(256, 128, 64)),
+        ppo=PPOConfig(
+            num_steps=24, gamma=0.995, desired_kl=0.02, entropy_after=0.001, init_std=0.5, hidden=(256, 128, 64)
+        ),
     )
 
 

@@ -1,14 +1,11 @@
 """Pictures and films of an episode, drawn offscreen by MuJoCo's renderer."""
 
 import copy
-import importlib
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -16,7 +13,7 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from arrive.errors import ArriveError
+from arrive.evaluation.graphics import open_renderer
 
 FRAME_SIZE = (400, 320)
 """Width and height of one frame of a strip [pixels]."""
@@ -30,25 +27,6 @@ MARGIN = 0.7
 SKY = (0.80, 0.87, 0.94)
 TARGET_COLOR = (0.10, 0.75, 0.25)
 PATH_COLOR = (0.95, 0.45, 0.05)
-_PROBE = """
-import mujoco
-model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-with mujoco.Renderer(model, 32, 32) as renderer:
-    renderer.update_scene(data)
-    assert renderer.render().any()
-"""
-
-
-class GraphicsUnavailable(ArriveError):
-    """No library on this machine can draw without a screen; everything but pictures works."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "no pictures: no offscreen graphics library works here; install the Debian package libosmesa6 "
-            "(software), or libegl1 and libopengl0 (a graphics driver), and the Python extra mujoco-core[rendering]"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,48 +58,6 @@ class Episode:
     def index_at(self, time_s: float) -> int:
         """The row of `qpos` nearest to a time [s]."""
         return min(round(time_s / self.control_dt), len(self.qpos) - 1)
-
-
-@lru_cache(maxsize=1)
-def graphics_backend() -> str:
-    """The value of MUJOCO_GL that draws offscreen here: the one that is set, else EGL, else OSMesa.
-
-    Each candidate draws a sphere in a process of its own, because a broken driver may end the process.
-
-    Raises:
-        GraphicsUnavailable: none of them works.
-    """
-    fallback = ("egl", "osmesa") if sys.platform == "linux" else ("",)
-    chosen = os.environ.get("MUJOCO_GL")
-    for backend in (chosen,) if chosen else fallback:
-        environment = os.environ | {"MUJOCO_GL": backend}
-        try:
-            done = subprocess.run([sys.executable, "-c", _PROBE], env=environment, capture_output=True, timeout=60)
-        except (OSError, subprocess.TimeoutExpired):
-            continue
-        if done.returncode == 0:
-            return backend
-    raise GraphicsUnavailable
-
-
-@contextmanager
-def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
-    """A renderer of pictures of `width` x `height` pixels, closed at the end; widens the model's offscreen buffer.
-
-    Raises:
-        GraphicsUnavailable: this machine cannot draw.
-    """
-    os.environ["MUJOCO_GL"] = graphics_backend()
-    # MuJoCo chose its graphics library when it was first imported, before MUJOCO_GL was known.
-    importlib.reload(mujoco.rendering.classic.gl_context)
-    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
-    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
-    try:
-        renderer = mujoco.Renderer(model, height, width)
-    except (ImportError, RuntimeError, mujoco.FatalError) as error:
-        raise GraphicsUnavailable from error
-    with renderer:
-        yield renderer
 
 
 def picture_strip(episode: Episode, path: Path, frames: int = 6) -> None:

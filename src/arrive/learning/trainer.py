@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
-from arrive.config import Config, to_dict
+from arrive.config import Config, from_dict, to_dict
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import (
@@ -123,6 +123,8 @@ class Trainer:
         check_terms("observation", terms)
 
     def _learn(self) -> dict[str, float]:
+        exploring = self.env.exploration.active
+        self.algorithm.entropy_coef = self.config.ppo.entropy if exploring else self.config.ppo.entropy_after
         losses = self.algorithm.update()
         check_losses(losses, self._parameters())
         std = float(self.algorithm.get_policy().distribution.log_std_param.detach().exp().mean())
@@ -222,7 +224,7 @@ class Trainer:
         content = self._load_matching(path)
         if "state" not in content:
             raise ArriveError(f"{path} is a policy, not a training checkpoint; it cannot be resumed")
-        if content["config"] != to_dict(self.config):
+        if from_dict(Config, content["config"]) != self.config:  # fields that are newer than the file have defaults
             raise ArriveError(f"{path} was made with another configuration than {self.folder}/config.json")
         self._restore(content["state"])
         self._good = self._snapshot()
