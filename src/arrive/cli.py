@@ -1,4 +1,4 @@
-"""The command line: `arrive train | eval | report | list`."""
+"""The command line: `arrive train | eval | report | export | verify | list`."""
 
 import sys
 from dataclasses import dataclass, field
@@ -81,6 +81,24 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Export:
+    """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
+
+    policy: tyro.conf.Positional[Path]
+    """Run folder or policy file."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("policy.onnx")
+    """File to write."""
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Check an exported policy: golden pairs, shapes, names and everything that its robot and task decide."""
+
+    file: tyro.conf.Positional[Path]
+    """File written by `arrive export`."""
+
+
+@dataclass(frozen=True)
 class List:
     """Name the terrains, presets, robots and tasks."""
 
@@ -92,6 +110,8 @@ Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[List, tyro.conf.subcommand("list")]
 )
 
@@ -106,6 +126,8 @@ def main(arguments: list[str] | None = None) -> None:
         Train: commands.train,
         Eval: commands.evaluate,
         Report: commands.report,
+        Export: commands.export,
+        Verify: commands.verify_file,
         List: commands.list_names,
     }[type(command)]
     try:

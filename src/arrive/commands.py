@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import json
 import math
 import os
@@ -40,7 +41,7 @@ from arrive.terrain import FAMILIES, parse_families
 from arrive.validate import validate
 
 if TYPE_CHECKING:
-    from arrive.cli import Eval, List, Report, Train
+    from arrive.cli import Eval, Export, List, Report, Train, Verify
 
 DEFAULT_PRESET = "robust"
 DEFAULT_MINUTES = 40.0
@@ -258,6 +259,34 @@ def report(command: Report) -> None:
     """Write the report page and its JSON file."""
     for path in write_report((command.run, *command.others), command.out):
         print(f"report: {path}")
+
+
+def export(command: Export) -> None:
+    """Write a policy for a robot's computer."""
+    _need_onnxruntime()
+    from arrive.deployment.export import export_policy
+
+    policy = load_policy(command.policy)
+    export_policy(policy, command.out)
+    print(f"exported: {command.out} ({policy.config.robot}, {policy.config.task.name}, commit {policy.commit})")
+
+
+def verify_file(command: Verify) -> None:
+    """Check an exported policy and say what it is."""
+    _need_onnxruntime()
+    from arrive.deployment.verify import verify
+
+    file = verify(command.file)
+    pairs = len(file.meta["golden"]["actions"])
+    print(
+        f"{command.file} is sound: {file.robot.name}, {len(file.robot.joint_names)} joints, {file.terms[-1].stop} "
+        f"observations, task {file.task.name}, {1.0 / file.period_s:.0f} Hz, {pairs} golden pairs met"
+    )
+
+
+def _need_onnxruntime() -> None:
+    if importlib.util.find_spec("onnxruntime") is None:
+        raise ArriveError("this needs onnxruntime: pip install 'arrive[deploy]'")
 
 
 def list_names(command: List) -> None:

@@ -1,0 +1,236 @@
+"""Where to go: a target with a deadline, a joystick, or way-points; and what the policy is told of it."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from arrive.deployment.policy_file import TaskSpec
+from arrive.deployment.safety import BadInput
+
+JOYSTICK_DISTANCE = 3.0
+"""The pseudo target lies this far away (paper, section Energy Consumption) [m]."""
+FASTEST_S = 2.0
+"""Remaining time at full stick: 3 m in 2 s [s]."""
+DEAD_ZONE = 0.1
+"""A stick nearer to its centre than this asks the robot to stop."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Be at a point at a time, then stay there."""
+
+    position_w: tuple[float, float, float]
+    """Wanted position of the base frame's origin, in the world [m]; `target_height_m` above the ground in training."""
+    arrive_at_s: float
+    """On the clock of `now_s` [s]."""
+
+    def __post_init__(self):
+        _set(self, position_w=_point(self.position_w), arrive_at_s=number(self.arrive_at_s))
+
+
+@dataclass(frozen=True)
+class Joystick:
+    """Walk in a direction; magnitudes above 1 count as 1."""
+
+    forward: float
+    """-1 to 1, along the heading."""
+    left: float
+    """-1 to 1, across it."""
+    heading_rad: float | None = None
+    """Heading in the world that `forward` means, e.g. the operator's; None for the robot's own."""
+
+    def __post_init__(self):
+        heading = None if self.heading_rad is None else number(self.heading_rad)
+        _set(self, forward=number(self.forward), left=number(self.left), heading_rad=heading)
+
+
+@dataclass(frozen=True)
+class WayPoints:
+    """Pass by points one after the other without stopping, and stay at the last."""
+
+    points_w: tuple[tuple[float, float, float], ...]
+    """Wanted positions of the base in the world [m]."""
+    speed: float = 1.0
+    """Wanted mean speed, cut to what 3 m in the longest and shortest time allow [m/s]."""
+    radius: float = 0.5
+    """A point counts as passed once the base is this near to it, horizontally [m]."""
+
+    def __post_init__(self):
+        try:
+            points = tuple(_point(point) for point in self.points_w)
+        except Exception:
+            points = ()
+        _set(self, points_w=points, speed=number(self.speed), radius=number(self.radius))
+
+
+Goal = Target | Joystick | WayPoints
+
+
+def number(value: Any) -> float:
+    """As a float, or NaN where it is not one number; the controller refuses that with a reason."""
+    try:
+        return float(value)
+    except Exception:  # a control loop must outlive whatever a driver hands over
+        return math.nan
+
+
+def _point(point: Any) -> tuple[float, ...]:
+    """As a tuple of floats, empty where it is none."""
+    try:
+        return tuple(number(x) for x in point)
+    except Exception:
+        return ()
+
+
+def _set(goal: Any, **values: Any) -> None:
+    """Put plain values into a frozen goal, so that it can be compared and logged."""
+    for name, value in values.items():
+        object.__setattr__(goal, name, value)
+
+
+class Order(NamedTuple):
+    """The command of one step."""
+
+    target_w: np.ndarray
+    """(3,) [m]."""
+    time_left_s: float
+    mode: str
+    reason: str
+
+
+class Navigator:
+    """Turns a goal into the target and the remaining time that the policy was trained on.
+
+    The remaining time stays within [hold time, episode]. The hold time is the reward window, half an episode at most:
+    from there on training paid for standing at the target, and the episode's end, after which nothing counts and a
+    robot may let itself fall, is as far away as it can be.
+    """
+
+    def __init__(self, task: TaskSpec):
+        """Start without a goal."""
+        self._task = task
+        self._hold_s = min(task.reward_window_s, 0.5 * task.episode_s)
+        self._reach = task.target_distance_m[1]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget how far way-points have been passed and where the robot was stopped."""
+        self._path: WayPoints | None = None
+        self._passed = 0
+        self._deadline_s = 0.0
+        self.release()
+
+    def release(self) -> None:
+        """Forget where the robot was stopped."""
+        self._anchor: np.ndarray | None = None
+
+    def order(self, goal: Goal | None, pos: np.ndarray, yaw: float, ground: float, now_s: float) -> Order:
+        """What to tell the policy now.
+
+        Args:
+            pos: (3,) base position in the world [m].
+            yaw: heading [rad].
+            ground: height of the ground around the robot [m].
+
+        Raises:
+            BadInput: no goal, or one that is not made of finite numbers.
+        """
+        if not isinstance(goal, Joystick):
+            self.release()
+        if not isinstance(goal, WayPoints):
+            self._path = None
+        if isinstance(goal, Target):
+            _check_finite("target", goal.position_w, 3, goal.arrive_at_s)
+            return self._reach_for(np.array(goal.position_w), goal.arrive_at_s, pos, now_s, "target")
+        if isinstance(goal, Joystick):
+            return self._steer(goal, pos, yaw, ground)
+        if isinstance(goal, WayPoints):
+            return self._follow(goal, pos, now_s)
+        raise BadInput("there is no goal")
+
+    def _reach_for(self, target: np.ndarray, deadline_s: float, pos: np.ndarray, now_s: float, mode: str) -> Order:
+        """A target beyond training's reach is pulled onto the line to it, with the time for that part of the way."""
+        way, left = target - pos, max(deadline_s - now_s, 0.0)
+        distance = float(np.linalg.norm(way))
+        reason = "" if left > 0.0 else "time is over"
+        mode = mode if left > 0.0 else "hold"
+        if distance > self._reach:
+            share = self._reach / distance
+            target, left = pos + way * share, left * share
+            reason = f"{reason}{', ' if reason else ''}{distance:.3g} m away, led there {self._reach:g} m at a time"
+        return Order(target, self._possible(left), mode, reason)
+
+    def _steer(self, stick: Joystick, pos: np.ndarray, yaw: float, ground: float) -> Order:
+        """Pseudo-velocity control (paper, sections Energy Consumption and Hardware Deployment)."""
+        heading = yaw if stick.heading_rad is None else stick.heading_rad
+        if not all(map(math.isfinite, (stick.forward, stick.left, heading))):
+            raise BadInput("the joystick is not finite")
+        magnitude = min(1.0, math.hypot(stick.forward, stick.left))
+        height = ground + self._task.target_height_m
+        if magnitude < DEAD_ZONE:
+            if self._anchor is None:
+                self._anchor = np.array([pos[0], pos[1], height])
+            return Order(self._anchor, self._hold_s, "stop", "")
+        self.release()
+        angle = heading + math.atan2(stick.left, stick.forward)
+        distance, left = self._pace(magnitude)
+        target = np.array([pos[0] + distance * math.cos(angle), pos[1] + distance * math.sin(angle), height])
+        return Order(target, left, "joystick", "")
+
+    def _pace(self, magnitude: float) -> tuple[float, float]:
+        """Distance [m] and remaining time [s]; 3 m / time grows linearly from the slowest to the fastest walk.
+
+        A continuous policy hurries whatever the time is; its distance is 3 m times the magnitude instead.
+        """
+        if self._task.name == "continuous":
+            return JOYSTICK_DISTANCE * magnitude, self._hold_s
+        slowest, fastest = self._speeds()
+        speed = slowest + (fastest - slowest) * (magnitude - DEAD_ZONE) / (1.0 - DEAD_ZONE)
+        return JOYSTICK_DISTANCE, JOYSTICK_DISTANCE / speed
+
+    def _follow(self, path: WayPoints, pos: np.ndarray, now_s: float) -> Order:
+        """Points before the last only give the direction of a pseudo target, so that nothing asks for a stop there."""
+        for point in path.points_w:
+            _check_finite("way-point", point, 3)
+        if not path.points_w or not (math.isfinite(path.speed) and math.isfinite(path.radius)) or path.speed <= 0:
+            raise BadInput("way-points need at least one point, a speed above 0 and a finite radius")
+        if path != self._path:
+            self._path, self._passed = path, 0
+            self._deadline_s = self._arrival(path, pos, now_s)
+        last = len(path.points_w) - 1
+        while self._passed < last and math.dist(path.points_w[self._passed][:2], pos[:2]) <= path.radius:
+            self._passed += 1
+            self._deadline_s = self._arrival(path, pos, now_s)
+        point = np.array(path.points_w[self._passed])
+        if self._passed == last:
+            return self._reach_for(point, self._deadline_s, pos, now_s, "way_points")
+        way = point[:2] - pos[:2]
+        # Not at its middle: there the next point's turn comes, as long as the radius is not 0.
+        ahead = pos[:2] + way * (JOYSTICK_DISTANCE / max(float(np.linalg.norm(way)), 1e-6))
+        left = JOYSTICK_DISTANCE / self._walk(path.speed)
+        if self._task.name == "continuous":
+            left = self._hold_s
+        return Order(np.array([*ahead, point[2]]), left, "way_points", f"{self._passed + 1} of {last + 1}")
+
+    def _arrival(self, path: WayPoints, pos: np.ndarray, now_s: float) -> float:
+        """When the last point would be reached if it came next [s]."""
+        return now_s + math.dist(path.points_w[-1], pos) / self._walk(path.speed)
+
+    def _walk(self, speed: float) -> float:
+        slowest, fastest = self._speeds()
+        return min(max(speed, slowest), fastest)
+
+    def _speeds(self) -> tuple[float, float]:
+        """Slowest and fastest pseudo velocity [m/s]."""
+        slowest = JOYSTICK_DISTANCE / self._task.episode_s
+        return slowest, max(slowest, JOYSTICK_DISTANCE / FASTEST_S)
+
+    def _possible(self, time_left_s: float) -> float:
+        return min(max(time_left_s, self._hold_s), self._task.episode_s)
+
+
+def _check_finite(what: str, point: tuple[float, ...], size: int, *others: float) -> None:
+    if len(point) != size or not all(math.isfinite(x) for x in (*point, *others)):
+        raise BadInput(f"the {what} is not {size} finite numbers" + (" and a finite time" if others else ""))

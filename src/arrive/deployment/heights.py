@@ -1,0 +1,126 @@
+"""The grid of ground heights around the robot, from what a robot has: a height map or a point cloud."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arrive.deployment.policy_file import GridSpec
+
+FILL_RADIUS = 0.3
+"""A grid point that nothing was seen at takes the height of the nearest seen one within this [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class GridHeights:
+    """Heights that were sampled at the grid's points by the caller."""
+
+    heights_w: Any
+    """(points,) ground height in the world frame, NaN where nothing was seen [m]."""
+    time_s: float
+    """When the ground was last measured [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """A robot-centric or global elevation map."""
+
+    origin_w: Any
+    """(2,) world position of the outer corner of cell (0, 0) [m]."""
+    resolution_m: float
+    """Edge of a cell."""
+    heights_w: Any
+    """(nx, ny) ground heights in the world frame, first index x, second y, NaN where nothing was seen [m]."""
+    time_s: float
+    """When the map was last updated [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points on the ground, without those on the robot itself."""
+
+    points_w: Any
+    """(n, 3) in the world frame [m]; rows with a NaN are returns that saw nothing."""
+    time_s: float
+    """When the newest of them was measured [s]."""
+
+
+class HeightGrid:
+    """Samples ground heights at the points the network wants, and fills in those that nothing was seen at.
+
+    The rule for unseen points: the height of the nearest seen grid point within `FILL_RADIUS`; where there is none,
+    the ground the robot stands on, taken as its base height less its standing height.
+    """
+
+    def __init__(self, spec: GridSpec):
+        """Prepare each point's neighbours, nearest first."""
+        self.points = np.array(spec.points_m)
+        """(points, 2) in the heading frame [m]."""
+        self._step = spec.step_m
+        self._low = self.points.min(axis=0)
+        self._shape = tuple(np.rint((self.points.max(axis=0) - self._low) / self._step).astype(int) + 1)
+        distance = np.linalg.norm(self.points[:, None] - self.points[None], axis=-1)
+        near = distance <= FILL_RADIUS + 1e-6
+        order = np.argsort(np.where(near, distance, np.inf), axis=1, kind="stable")[:, : near.sum(1).max()]
+        # A point with fewer neighbours than others repeats itself.
+        own = np.arange(len(self.points))[:, None]
+        self._neighbours = np.where(np.take_along_axis(near, order, axis=1), order, own)
+
+    def from_map(
+        self, origin: np.ndarray, resolution: float, heights: np.ndarray, pos: np.ndarray, yaw: float
+    ) -> np.ndarray:
+        """(points,) height of the map's cell that each point lies in, NaN outside the map or where it has a hole.
+
+        Args:
+            pos: (3,) base position in the map's frame [m].
+            yaw: heading [rad].
+        """
+        cells = np.floor((self._in_world(pos, yaw) - origin) / resolution)
+        inside = ((cells >= 0) & (cells < heights.shape)).all(axis=1)
+        x, y = np.where(inside[:, None], cells, 0.0).astype(int).T
+        return np.where(inside, heights[x, y], np.nan)
+
+    def from_cloud(self, points: np.ndarray, pos: np.ndarray, yaw: float) -> np.ndarray:
+        """(points,) median height of the cloud's points in the square around each grid point, NaN where it is empty.
+
+        The median (of an even number the lower of the middle two) ignores single stray returns.
+        """
+        points = points[~np.isnan(points).any(axis=1)]
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        offset = points[:, :2] - pos[:2]
+        local = offset @ np.array([[cos, -sin], [sin, cos]])
+        cells = np.rint((local - self._low) / self._step)
+        inside = ((cells >= 0) & (cells < self._shape)).all(axis=1)
+        index = (cells[inside] @ (self._shape[1], 1)).astype(int)
+        z = points[inside, 2]
+        order = np.lexsort((z, index))
+        seen, start, count = np.unique(index[order], return_index=True, return_counts=True)
+        heights = np.full(len(self.points), np.nan)
+        heights[seen] = z[order][start + (count - 1) // 2]
+        return heights
+
+    def fill(self, heights: np.ndarray, standing_on: float) -> tuple[np.ndarray, float]:
+        """Apply the rule for unseen points.
+
+        Args:
+            heights: (points,) [m], NaN where nothing was seen.
+            standing_on: height of the ground under the robot [m].
+
+        Returns:
+            (points,) heights without NaN, and the share of points that were seen or had a seen neighbour.
+        """
+        unseen = np.isnan(heights)
+        if not unseen.any():
+            return heights, 1.0
+        candidates = heights[self._neighbours[unseen]]
+        first = np.argmax(~np.isnan(candidates), axis=1)
+        filled = heights.copy()
+        filled[unseen] = candidates[np.arange(len(first)), first]
+        blind = np.isnan(filled)
+        filled[blind] = standing_on
+        return filled, 1.0 - float(blind.mean())
+
+    def _in_world(self, pos: np.ndarray, yaw: float) -> np.ndarray:
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        return pos[:2] + self.points @ np.array([[cos, sin], [-sin, cos]])

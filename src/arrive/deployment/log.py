@@ -1,0 +1,110 @@
+"""A log of every step's inputs and commands, from which the commands can be computed again."""
+
+import dataclasses
+import json
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from arrive.deployment.goals import Goal, Joystick, Target, WayPoints
+from arrive.deployment.inputs import ARRAYS, TIMES, Frame
+from arrive.deployment.policy_file import DIGEST, PolicyFile
+from arrive.errors import ArriveError
+
+if TYPE_CHECKING:
+    from arrive.deployment.controller import Controller, JointCommand
+
+GOALS = {kind.__name__: kind for kind in (Target, Joystick, WayPoints)}
+
+
+class ControlLog:
+    """Grows by about 2 kB per step. Of a map or a point cloud it keeps the heights at the grid's points."""
+
+    def __init__(self):
+        """Start empty."""
+        self.policy_digest = ""
+        self.frames: list[Frame] = []
+        self.commands: list[JointCommand] = []
+
+    def append(self, policy: PolicyFile, frame: Frame, command: "JointCommand") -> None:
+        """Take down one step."""
+        self.policy_digest = policy.meta[DIGEST]
+        self.frames.append(frame)
+        self.commands.append(command)
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz file of plain arrays and JSON; reading it executes nothing."""
+        content: dict[str, Any] = {name: [getattr(frame, name) for frame in self.frames] for name in TIMES}
+        for name in ARRAYS:
+            values = [getattr(frame, name) for frame in self.frames]
+            content[name] = np.concatenate([np.zeros(0), *(value.ravel() for value in values)])
+            content[f"{name}_shapes"] = json.dumps([value.shape for value in values])
+        content["targets"] = np.array([command.targets for command in self.commands])
+        content["texts"] = json.dumps({
+            "policy": self.policy_digest,
+            "goals": [_goal_to_json(frame.goal) for frame in self.frames],
+            "modes": [command.mode for command in self.commands],
+            "reasons": [command.reason for command in self.commands],
+        })  # fmt: skip
+        try:
+            with Path(path).open("wb") as file:
+                np.savez_compressed(file, **content)
+        except OSError as error:
+            raise ArriveError(f"cannot write {path}: {error}") from error
+
+    @classmethod
+    def load(cls, path: Path | str) -> "ControlLog":
+        """Read a log.
+
+        Raises:
+            ArriveError: missing, corrupt or foreign.
+        """
+        from arrive.deployment.controller import JointCommand
+
+        log = cls()
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                content = {name: file[name] for name in file.files}
+            texts = json.loads(str(content["texts"]))
+            arrays = {name: _split(content[name], json.loads(str(content[f"{name}_shapes"]))) for name in ARRAYS}
+            times = {name: content[name].tolist() for name in TIMES}
+            log.policy_digest = texts["policy"]
+            for i, goal in enumerate(texts["goals"]):
+                columns = {name: values[i] for name, values in (arrays | times).items()}
+                log.frames.append(Frame(**columns, goal=_goal_from_json(goal)))
+            rows = zip(content["targets"], texts["modes"], texts["reasons"], strict=True)
+            log.commands += [JointCommand(*row) for row in rows]
+        except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
+            raise ArriveError(f"cannot read {path}: it is missing, corrupt or no log of a controller") from error
+        return log
+
+
+def replay(log: ControlLog, controller: "Controller") -> "list[JointCommand]":
+    """The commands that the controller gives from a fresh start to the logged inputs.
+
+    Raises:
+        ArriveError: the log is of another policy.
+    """
+    if log.frames and log.policy_digest != controller.policy.meta[DIGEST]:
+        raise ArriveError(f"the log was taken with another policy than {controller.policy.path}")
+    controller.reset()
+    return [controller.step_frame(frame) for frame in log.frames]
+
+
+def _split(flat: np.ndarray, shapes: list[list[int]]) -> list[np.ndarray]:
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes], dtype=int)
+    return (
+        [part.reshape(shape) for part, shape in zip(np.split(flat, ends[:-1]), shapes, strict=True)] if shapes else []
+    )
+
+
+def _goal_to_json(goal: Goal | None) -> dict[str, Any] | None:
+    return None if goal is None else {"kind": type(goal).__name__} | dataclasses.asdict(goal)
+
+
+def _goal_from_json(data: dict[str, Any] | None) -> Goal | None:
+    if data is None:
+        return None
+    return GOALS[data.pop("kind")](**data)

@@ -1,0 +1,661 @@
+"""Export and the controller: the same actions as in training, and nothing unsafe whatever it is told."""
+
+import dataclasses
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from onnx import numpy_helper
+
+from arrive.build import Placement, build_env
+from arrive.cli import main
+from arrive.config import Config, override
+from arrive.deployment import (
+    Controller,
+    ControlLog,
+    GridHeights,
+    HeightMap,
+    Joystick,
+    PointCloud,
+    Safety,
+    Sensors,
+    Target,
+    WayPoints,
+    replay,
+)
+from arrive.deployment.export import export_policy
+from arrive.deployment.goals import Navigator
+from arrive.deployment.heights import HeightGrid
+from arrive.deployment.inputs import frame_of
+from arrive.deployment.policy_file import DIGEST, PREFIX, GridSpec, TaskSpec, digest, read_policy_file
+from arrive.deployment.verify import verify
+from arrive.env import POLICY
+from arrive.errors import ArriveError
+from arrive.evaluation.policy import load_policy
+from arrive.learning.rundir import write_config
+from arrive.learning.trainer import Trainer
+from arrive.presets import get_preset
+from arrive.task.registry import get_task
+from arrive.terrain import FAMILIES
+from arrive.terrain.tile import RASTER_CELL, RASTER_HALF
+
+DT = 0.02
+AHEAD = Joystick(1.0, 0.0)
+CONFIG = override(
+    get_preset("robust"),
+    (
+        "num_envs=2",
+        "ppo.num_steps=2",
+        "terrain.levels=1",
+        "terrain.variants=1",
+        "observation.noise=false",
+        "randomisation.push_speed=0",
+    ),
+)
+TASK = TaskSpec("final", 2.0, 6.0, 0.5, [1.0, 5.0], 0.5)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of a run whose untrained networks are made to act as strongly as trained ones."""
+    torch.set_num_threads(1)
+    folder = tmp_path_factory.mktemp("run")
+    write_config(folder, CONFIG)
+    trainer = Trainer(CONFIG, build_env(CONFIG, threads=1), folder)
+    with torch.no_grad():
+        trainer.algorithm.get_policy().mlp[-1].weight.mul_(3.0)
+    trainer.save()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(run):
+    """The file that the command line makes of it."""
+    main(["export", str(run), "-o", str(run / "robot.onnx")])
+    return run / "robot.onnx"
+
+
+@pytest.fixture
+def controller(exported):
+    return Controller.load(exported)
+
+
+def an_env(family: str):
+    """Robots on the family's hardest level, without noise and pushes."""
+    terrain = dataclasses.replace(CONFIG.terrain, families=(family,))
+    config: Config = dataclasses.replace(CONFIG, num_envs=4, terrain=terrain)
+    assignment = (torch.zeros(4, dtype=torch.long), torch.zeros(4, dtype=torch.long))
+    return build_env(config, Placement(values=((FAMILIES[family].highest,),), assignment=assignment), threads=1)
+
+
+def sensors_of(state, i: int, time_s: float) -> Sensors:
+    """What robot i would measure."""
+    names = ("joint_pos", "joint_vel", "base_pos_w", "base_quat_w", "base_lin_vel_b", "base_ang_vel_b")
+    return Sensors(**{name: getattr(state, name)[i].numpy() for name in names}, time_s=time_s)
+
+
+def standing(controller: Controller, now: float, **changes) -> Sensors:
+    """The measurements of a robot that stands at the origin and looks along x."""
+    values = {
+        "joint_pos": np.array(controller.policy.robot.default_joint_pos_rad),
+        "joint_vel": np.zeros(12),
+        "base_pos_w": np.array([0.0, 0.0, 0.5]),
+        "base_quat_w": np.array([1.0, 0.0, 0.0, 0.0]),
+        "base_lin_vel_b": np.zeros(3),
+        "base_ang_vel_b": np.zeros(3),
+        "time_s": now,
+    }
+    return Sensors(**values | changes)
+
+
+def flat(time_s: float) -> GridHeights:
+    return GridHeights(np.zeros(187), time_s)
+
+
+def step(controller: Controller, now: float, goal=AHEAD, terrain=None, **changes):
+    """One step of a standing robot; what it returns is checked against what no command may leave."""
+    command = controller.step(standing(controller, now, **changes), goal, terrain or flat(now), now)
+    assert_safe(controller, command)
+    return command
+
+
+def assert_safe(controller, command):
+    low, high = np.array(controller.policy.robot.joint_limits_rad).T
+    assert command.targets.shape == (12,)
+    assert np.isfinite(command.targets).all()
+    assert (command.targets >= low).all()
+    assert (command.targets <= high).all()
+
+
+# The same as in training.
+
+
+def test_exported_actions_are_the_training_policys(run, exported):
+    policy, file = load_policy(run), read_policy_file(exported)
+    env = an_env("pit")
+    observation, recorded = env.get_observations()[POLICY], []
+    for _ in range(75):
+        recorded.append(observation)
+        observation = env.step(policy.act(observation))[0][POLICY]
+    random = 2.0 * torch.randn(10_000, observation.shape[1], generator=torch.Generator().manual_seed(1))
+    inputs = torch.cat([random, *recorded])
+    assert len(inputs) == 10_300
+    trained = policy.act(inputs).numpy()
+    assert np.abs(trained).max() > 0.5
+    np.testing.assert_allclose(file.act(inputs.numpy()), trained, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("family", ["flat", "pit"])
+def test_controller_sees_and_does_what_the_environment_does(family, run, exported):
+    env, policy = an_env(family), load_policy(run)
+    controllers = [Controller.load(exported) for _ in range(env.num_envs)]
+    observation, compared = env.get_observations()[POLICY], 0
+    for step_number in range(100):
+        now, state, command = DT * step_number, env.state, env.task.command
+        actions = policy.act(observation)
+        for i, controller in enumerate(controllers):
+            if env.episode_length_buf[i] == 0:
+                controller.reset()
+            # The environment counts down to 0 and has targets farther away, the controller stops at its limits.
+            goal = Target(command.target_w[i].tolist(), now + float(command.time_left_s[i]))
+            sensors, heights = sensors_of(state, i, now), GridHeights(state.heights_w[i].numpy(), now)
+            frame = frame_of(sensors, goal, heights, now, controller._grid)
+            seen, _ = controller.observe(frame)
+            mine = observation[i].numpy()
+            if float(command.time_left_s[i]) > 2.0 and np.linalg.norm(mine[9:12]) * 2.0 < 5.0:
+                np.testing.assert_allclose(seen, mine, atol=1e-5, rtol=0)
+                compared += 1
+                controller.step(sensors, goal, heights, now)
+                np.testing.assert_allclose(controller._action, actions[i], atol=1e-4, rtol=0)
+            controller._action = actions[i].double().numpy()
+            controller._last_now_s = now
+        observation = env.step(actions)[0][POLICY]
+    assert compared > 300
+
+
+def test_targets_are_the_default_pose_plus_scaled_action_within_the_torque_limit(controller):
+    command = step(controller, 0.0)
+    robot = controller.policy.robot
+    asked = np.array(robot.default_joint_pos_rad) + 0.5 * controller._action
+    np.testing.assert_allclose(command.targets, asked, atol=1e-9)
+    # At 20 rad/s damping alone is 40 N m, so 40 N m are left for the spring against the motion: 0.5 rad.
+    speed = np.full(12, 20.0)
+    pos = np.array(robot.default_joint_pos_rad) + 3.0 * np.array([0, 1, 1] * 4)
+    command = step(controller, DT, joint_pos=pos, joint_vel=speed)
+    assert command.mode == "joystick"
+    pitch = np.array([False, True, True] * 4)
+    torque = 80.0 * (command.targets - pos) - 2.0 * speed
+    assert (np.abs(torque[pitch]) <= 80.0 + 1e-9).all()
+    np.testing.assert_allclose(command.targets[pitch], (pos - 0.5)[pitch], atol=1e-9)
+
+
+# What the policy is told.
+
+
+def order(goal, pos=(0.0, 0.0, 0.5), yaw=0.0, ground=0.0, now=0.0, task=TASK, navigator=None):
+    return (navigator or Navigator(task)).order(goal, np.array(pos), yaw, ground, now)
+
+
+def test_target_counts_down_then_holds():
+    goal = Target((3.0, 0.0, 0.5), 5.0)
+    assert order(goal).time_left_s == 5.0
+    assert order(goal, now=2.5).time_left_s == 2.5
+    # The reward window of 2 s is the least the policy is told.
+    assert order(goal, now=4.5)[1:] == (2.0, "target", "")
+    assert order(goal, now=60.0)[1:] == (2.0, "hold", "time is over")
+    assert order(goal, now=-10.0).time_left_s == 6.0
+
+
+def test_far_target_is_pulled_near_at_the_same_pace():
+    result = order(Target((20.0, 0.0, 0.5), 12.0))
+    np.testing.assert_allclose(result.target_w, (5.0, 0.0, 0.5))
+    assert result.time_left_s == 3.0
+    assert "20 m away" in result.reason
+
+
+@pytest.mark.parametrize(
+    ("stick", "yaw", "target", "time_left"),
+    [
+        ((1.0, 0.0), 0.0, (4.0, 2.0), 2.0),
+        ((0.0, 1.0), 0.0, (1.0, 5.0), 2.0),
+        ((-3.0, 0.0), 0.0, (-2.0, 2.0), 2.0),
+        ((1.0, 0.0), math.pi / 2, (1.0, 5.0), 2.0),
+        # Forward means the world's y axis.
+        ((1.0, 0.0, math.pi / 2), 2.5, (1.0, 5.0), 2.0),
+        # Half way between dead zone and full: half way between 0.5 and 1.5 m/s.
+        ((0.55, 0.0), 0.0, (4.0, 2.0), 3.0),
+        ((0.1, 0.0), 0.0, (4.0, 2.0), 6.0),
+    ],
+)
+def test_joystick_puts_the_target_3_m_away_and_scales_time(stick, yaw, target, time_left):
+    result = order(Joystick(*stick), pos=(1.0, 2.0, 0.4), yaw=yaw, ground=-0.3)
+    np.testing.assert_allclose(result.target_w, (*target, 0.2), atol=1e-12)
+    assert result.time_left_s == pytest.approx(time_left)
+    assert result.mode == "joystick"
+
+
+def test_joystick_scales_the_distance_of_a_continuous_policy():
+    task = dataclasses.replace(TASK, name="continuous", reward_window_s=6.0)
+    for magnitude in (0.2, 1.0):
+        result = order(Joystick(magnitude, 0.0), task=task)
+        np.testing.assert_allclose(result.target_w, (3.0 * magnitude, 0.0, 0.5))
+        assert result.time_left_s == 3.0
+
+
+def test_released_stick_stops_where_it_was_released():
+    navigator = Navigator(TASK)
+    order(Joystick(1.0, 0.0), navigator=navigator)
+    for x in (1.0, 1.4):
+        result = order(Joystick(0.05, 0.0), pos=(x, 0.0, 0.5), navigator=navigator)
+        np.testing.assert_allclose(result.target_w, (1.0, 0.0, 0.5))
+        assert (result.mode, result.time_left_s) == ("stop", 2.0)
+
+
+def test_way_points_are_passed_without_a_stop():
+    path, navigator = WayPoints(((2.0, 0.0, 0.5), (2.0, 2.0, 0.7)), speed=1.0, radius=0.5), Navigator(TASK)
+    for x in (0.0, 1.4):
+        result = order(path, pos=(x, 0.0, 0.5), navigator=navigator)
+        np.testing.assert_allclose(result.target_w, (x + 3.0, 0.0, 0.5))
+        assert (result.time_left_s, result.reason) == (3.0, "1 of 2")
+    result = order(path, pos=(1.6, 0.0, 0.7), now=2.0, navigator=navigator)
+    np.testing.assert_allclose(result.target_w, (2.0, 2.0, 0.7))
+    assert result.time_left_s == pytest.approx(math.hypot(0.4, 2.0))
+    # The first point does not count again, and the last is held.
+    result = order(path, pos=(0.0, 0.0, 0.7), now=9.0, navigator=navigator)
+    np.testing.assert_allclose(result.target_w, (2.0, 2.0, 0.7))
+    assert (result.mode, result.time_left_s) == ("hold", 2.0)
+
+
+# Heights.
+
+
+def small_grid() -> HeightGrid:
+    """Five by five points, 0.1 m apart."""
+    points = [[x / 10, y / 10] for x in range(-2, 3) for y in range(-2, 3)]
+    return HeightGrid(GridSpec(points, 0.1, 0.5, 1.0))
+
+
+def test_height_map_is_read_in_the_heading_frame():
+    x, y = np.meshgrid(np.arange(-2, 2, 0.02) + 0.01, np.arange(-1, 1, 0.02) + 0.01, indexing="ij")
+    grid, yaw = small_grid(), 0.7
+    heights = grid.from_map(np.array([-2.0, -1.0]), 0.02, x + 10 * y, np.array([0.5, 0.2, 0.9]), yaw)
+    for (px, py), height in zip(grid.points, heights, strict=True):
+        wx = 0.5 + math.cos(yaw) * px - math.sin(yaw) * py
+        wy = 0.2 + math.sin(yaw) * px + math.cos(yaw) * py
+        assert height == pytest.approx(wx + 10 * wy, abs=0.12)
+    beyond = grid.from_map(np.array([-2.0, -1.0]), 0.02, x, np.array([50.0, 0.0, 0.9]), yaw)
+    assert np.isnan(beyond).all()
+
+
+def test_map_of_a_tile_gives_the_heights_of_training(exported):
+    env, controller = an_env("pit"), Controller.load(exported)
+    for i in range(env.num_envs):
+        raster = env.pool.rasters.heights[env.tile_of_env[i]].numpy()
+        terrain = HeightMap((-RASTER_HALF, -RASTER_HALF), RASTER_CELL, raster, 0.0)
+        frame = frame_of(sensors_of(env.state, i, 0.0), None, terrain, 0.0, controller._grid)
+        # Rounding may put a point that lies on the border of two cells into the other one.
+        assert np.isclose(frame.heights_w, env.state.heights_w[i]).mean() > 0.98
+
+
+def test_point_cloud_gives_the_median_around_each_point():
+    grid = small_grid()
+    # The robot stands at (1, 0) and looks along y: its grid point (0.2, -0.1) is the world's (1.1, 0.2).
+    points = np.array([[1.1, 0.2, 1.0], [1.12, 0.21, 2.0], [1.09, 0.19, 9.0], [1.1, 0.2, np.nan], [5.0, 5.0, 7.0]])
+    heights = grid.from_cloud(points, np.array([1.0, 0.0, 0.5]), math.pi / 2)
+    seen = np.flatnonzero(~np.isnan(heights))
+    assert len(seen) == 1
+    np.testing.assert_allclose(grid.points[seen[0]], (0.2, -0.1))
+    assert heights[seen[0]] == 2.0
+    assert np.isnan(grid.from_cloud(np.zeros((0, 3)), np.zeros(3), 0.0)).all()
+
+
+def test_unseen_points_take_the_nearest_seen_height_else_the_ground_under_the_robot():
+    grid = small_grid()
+    heights = np.full(25, np.nan)
+    heights[0] = 0.3  # at (-0.2, -0.2)
+    heights[4] = 0.8  # at (-0.2, 0.2)
+    filled, seen = grid.fill(heights, standing_on=-1.0)
+    by_point = {(round(x, 1), round(y, 1)): h for (x, y), h in zip(grid.points, filled, strict=True)}
+    assert by_point[-0.2, -0.1] == 0.3
+    assert by_point[-0.1, 0.1] == 0.8
+    assert by_point[0.0, -0.1] == 0.3
+    assert by_point[0.2, 0.0] == -1.0
+    assert seen == pytest.approx(np.mean([h != -1.0 for h in filled]))
+    whole = np.arange(25.0)
+    assert grid.fill(whole, -1.0)[0] is whole
+
+
+def test_map_with_holes_is_walked_on_and_a_blind_one_is_not(controller):
+    heights = np.zeros(187)
+    heights[::3] = np.nan
+    assert step(controller, 0.0, terrain=GridHeights(heights, 0.0)).mode == "joystick"
+    heights[:50] = np.nan
+    command = step(controller, DT, terrain=GridHeights(heights, DT))
+    assert command.mode == "joystick"
+    assert "of the ground seen" in command.reason
+    command = step(controller, 2 * DT, terrain=GridHeights(np.full(187, np.nan), 2 * DT))
+    assert (command.mode, command.reason) == ("safe", "only 0% of the ground was seen")
+
+
+# Whatever it is told.
+
+BAD_SENSORS = {
+    "NaN joint": {"joint_pos": np.full(12, np.nan)},
+    "infinite speed": {"joint_vel": np.full(12, np.inf)},
+    "huge speed": {"joint_vel": np.full(12, 1e300)},
+    "eleven joints": {"joint_pos": np.zeros(11)},
+    "no joints": {"joint_pos": None},
+    "text": {"base_lin_vel_b": "fast"},
+    "matrix": {"base_pos_w": np.zeros((3, 3))},
+    "NaN position": {"base_pos_w": np.array([0.0, np.nan, 0.5])},
+    "no rotation": {"base_quat_w": np.zeros(4)},
+    "old": {"time_s": -1.0},
+    "from the future": {"time_s": 99.0},
+    "no time": {"time_s": float("nan")},
+}
+BAD_GOALS = {
+    "none": None,
+    "text": "home",
+    "NaN target": Target((0.0, math.nan, 0.5), 5.0),
+    "infinite deadline": Target((1.0, 0.0, 0.5), math.inf),
+    "flat target": Target((1.0, 0.0), 5.0),
+    "NaN stick": Joystick(math.nan, 0.0),
+    "NaN heading": Joystick(1.0, 0.0, math.nan),
+    "no stick": Joystick(None, 0.0),
+    "no way-points": WayPoints(()),
+    "no points": WayPoints(3),
+    "half a way-point": WayPoints(((1.0, 0.0),)),
+    "backwards": WayPoints(((1.0, 0.0, 0.5),), speed=-1.0),
+}
+BAD_TERRAINS = {
+    "few": GridHeights(np.zeros(10), 1.0),
+    "infinite": GridHeights(np.full(187, np.inf), 1.0),
+    "old": GridHeights(np.zeros(187), -5.0),
+    "text": GridHeights("flat", 1.0),
+    "none": "flat",
+    "no cell": HeightMap((0, 0), 0.0, np.zeros((3, 3)), 1.0),
+    "empty map": HeightMap((0, 0), 0.1, np.zeros((0, 0)), 1.0),
+    "map of holes": HeightMap((-2, -2), 0.1, np.full((40, 40), np.nan), 1.0),
+    "infinite map": HeightMap((-2, -2), 0.1, np.full((40, 40), np.inf), 1.0),
+    "map elsewhere": HeightMap((1e300, 0), 1e-300, np.zeros((3, 3)), 1.0),
+    "empty cloud": PointCloud(np.zeros((0, 3)), 1.0),
+    "flat cloud": PointCloud(np.zeros((5, 2)), 1.0),
+    "infinite cloud": PointCloud(np.full((5, 3), np.inf), 1.0),
+}
+
+
+@pytest.mark.parametrize("walking", [True, False], ids=["walking", "first"])
+@pytest.mark.parametrize(
+    "bad",
+    [{"sensors": x} for x in BAD_SENSORS.values()]
+    + [{"goal": x} for x in BAD_GOALS.values()]
+    + [{"terrain": x} for x in BAD_TERRAINS.values()],
+    ids=[*BAD_SENSORS, *BAD_GOALS, *BAD_TERRAINS],
+)
+def test_bad_input_means_the_safe_stance(controller, bad, walking):
+    pose = np.array(controller.policy.robot.default_joint_pos_rad) + 0.1
+    if walking:
+        step(controller, 1.0 - DT, joint_pos=pose)
+    sensors = {"joint_pos": pose} | bad.get("sensors", {})
+    command = step(controller, 1.0, bad.get("goal", Joystick(1.0, 0.0)), bad.get("terrain"), **sensors)
+    assert command.mode == "safe"
+    assert command.reason
+    # Where the joints are, as far as that is known.
+    if walking or "sensors" not in bad:
+        measured = pose if "joint_vel" not in bad.get("sensors", {}) else command.targets
+        np.testing.assert_allclose(command.targets, measured)
+
+
+@pytest.mark.parametrize("now", [float("nan"), float("inf"), -1.0, None])
+def test_bad_clock_means_the_safe_stance(controller, now):
+    step(controller, 1.0)
+    command = controller.step(standing(controller, 1.0), Joystick(1.0, 0.0), flat(1.0), now)
+    assert command.mode == "safe"
+    assert_safe(controller, command)
+
+
+def test_target_out_of_range_stays_within_limits(controller):
+    for i, x in enumerate((1e2, 1e9, 1e200, -1e308)):
+        step(controller, i * DT, Target((x, -x, x), 5.0))
+
+
+def test_random_states_never_give_an_unsafe_target(controller):
+    rng = np.random.default_rng(0)
+    for i in range(300):
+        scale = 10.0 ** rng.uniform(-1, 6)
+        changes = {name: scale * rng.normal(size=12) for name in ("joint_pos", "joint_vel")}
+        changes["base_quat_w"] = (quat := rng.normal(size=4)) / np.linalg.norm(quat)
+        changes |= {name: scale * rng.normal(size=3) for name in ("base_pos_w", "base_lin_vel_b", "base_ang_vel_b")}
+        step(controller, i * DT, terrain=GridHeights(scale * rng.normal(size=187), i * DT), **changes)
+
+
+def test_safe_stance_glides_to_the_default_pose_and_recovers_after_half_a_second(controller):
+    default = np.array(controller.policy.robot.default_joint_pos_rad)
+    start = default + 0.2 * np.array([1.0, -1.0, 0.01] * 4)
+    step(controller, 0.0, joint_pos=start)
+    np.testing.assert_allclose(step(controller, 0.02, goal=None, joint_pos=start).targets, start)
+    # 0.5 rad/s for 0.02 s.
+    one = step(controller, 0.04, goal=None, joint_pos=start).targets - default
+    np.testing.assert_allclose(one, [0.19, -0.19, 0.0] * 4, atol=1e-9)
+    modes, now = [], 0.04
+    for _ in range(40):
+        now += DT
+        command = step(controller, now, joint_pos=start)
+        modes.append(command.mode)
+    assert modes == ["safe"] * 25 + ["joystick"] * 15
+    # A fault in between starts the half second again.
+    step(controller, now + DT, goal=None)
+    for i in range(2, 12):
+        step(controller, now + i * DT)
+    step(controller, now + 12 * DT, goal=None)
+    later = [step(controller, now + i * DT).mode for i in range(13, 40)]
+    assert later == ["safe"] * 25 + ["joystick"] * 2
+
+
+def test_safe_stance_keeps_a_standing_robot_up(controller):
+    env = an_env("flat")
+    default = torch.tensor(controller.policy.robot.default_joint_pos_rad)
+    for _ in range(50):
+        env.step(torch.zeros(4, 12))
+    assert env.episode_length_buf[0] == 50
+    for i in range(100):
+        command = controller.step(sensors_of(env.state, 0, i * DT), None, flat(i * DT), i * DT)
+        action = (torch.from_numpy(command.targets).float() - default) / 0.5
+        env.step(action.repeat(4, 1))
+        assert env.state.crash_contacts[0] == 0
+    assert env.state.base_pos_w[0, 2] > 0.4
+    np.testing.assert_allclose(command.targets, default, atol=1e-6)
+
+
+# Files.
+
+
+def changed(exported, folder, change, seal=False):
+    """A copy of the exported file with something changed; `seal` makes its digest agree."""
+    model = onnx.load(exported)
+    text = {entry.key: entry.value for entry in model.metadata_props}
+    change(model, text)
+    if seal:
+        text[PREFIX + DIGEST] = json.dumps(digest(text))
+    onnx.helper.set_model_props(model, text)
+    (folder / "changed.onnx").write_bytes(model.SerializeToString())
+    return folder / "changed.onnx"
+
+
+def edit(section, change):
+    def apply(model, text):
+        value = json.loads(text[PREFIX + section])
+        change(value)
+        text[PREFIX + section] = json.dumps(value)
+
+    return apply
+
+
+def flip(index):
+    """Turn the sign of one weight of the first layer."""
+
+    def apply(model, text):
+        weights = numpy_helper.to_array(model.graph.initializer[0]).copy()
+        weights[0, index] *= -1
+        model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, model.graph.initializer[0].name))
+
+    return apply
+
+
+def swap_slices(terms):
+    terms[0]["name"], terms[1]["name"] = terms[1]["name"], terms[0]["name"]
+
+
+def test_exported_file_explains_itself(exported, capsys):
+    file = verify(exported)
+    assert file.terms[3].name == "target"
+    assert (file.terms[3].start, file.terms[3].stop, file.terms[3].unit, file.terms[3].frame) == (9, 12, "m", "base")
+    assert file.robot.joint_names[:3] == ["LF_HAA", "LF_HFE", "LF_KFE"]
+    assert file.robot.joint_limits_rad[0] == [-0.72, 0.49]
+    assert len(file.meta["golden"]["actions"]) == 16
+    assert file.meta["evaluation"] is None
+    main(["verify", str(exported)])
+    assert "16 golden pairs met" in capsys.readouterr().out
+
+
+def test_evaluation_summary_travels_along(run, tmp_path):
+    summary = {"families": {"flat": {}}, "protocol": {"episodes": 5}, "commit": "abc"}
+    (tmp_path / "difficulty.json").write_text(json.dumps(summary | {"policy": {}}))
+    (tmp_path / "policy.pt").write_bytes((run / "policy.pt").read_bytes())
+    export_policy(load_policy(tmp_path), tmp_path / "policy.onnx")
+    assert read_policy_file(tmp_path / "policy.onnx").meta["evaluation"] == summary
+
+
+@pytest.mark.parametrize(
+    ("change", "seal", "message"),
+    [
+        (flip(0), False, "does not compute what|was changed"),
+        (edit("observation", swap_slices), False, "was changed after the export"),
+        (edit("observation", swap_slices), True, r"observation\[0\]"),
+        (edit("observation", lambda terms: terms[4].update(scale=1.0)), True, r"observation\[4\].scale"),
+        (edit("observation", lambda terms: terms[4].update(stop=14)), True, "slice"),
+        (edit("observation", lambda terms: terms.pop()), True, "236 observations"),
+        (edit("robot", lambda robot: robot.update(stiffness=90.0)), True, r"robot.stiffness is 90.0 there, 80.0 here"),
+        (edit("robot", lambda robot: robot["joint_names"].reverse()), True, r"robot.joint_names\[0\]"),
+        (edit("robot", lambda robot: robot.pop("damping")), True, "damaged"),
+        (edit("control", lambda control: control.update(period_s=0.01)), True, "control.period_s"),
+        (edit("golden", lambda golden: golden["actions"][0].__setitem__(0, 9.0)), True, "golden actions differ"),
+        (lambda model, text: text.pop(PREFIX + "task"), True, "lacks the metadata task"),
+        (lambda model, text: text.update({PREFIX + "format": "99"}), True, "export format 99"),
+        (lambda model, text: text.clear(), False, "no policy of arrive"),
+    ],
+)
+def test_verify_refuses_what_was_changed(exported, tmp_path, change, seal, message):
+    with pytest.raises(ArriveError, match=message):
+        verify(changed(exported, tmp_path, change, seal))
+
+
+def test_every_weight_counts_even_one_too_small_for_the_golden_pairs(exported, tmp_path):
+    def nudge(model, text):
+        weights = numpy_helper.to_array(model.graph.initializer[0]).copy()
+        weights[0, 0] = np.nextafter(weights[0, 0], np.float32(9))
+        model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, model.graph.initializer[0].name))
+
+    with pytest.raises(ArriveError, match=r"network in .* was changed after the export"):
+        verify(changed(exported, tmp_path, nudge))
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", None], ids=["empty", "foreign", "truncated"])
+def test_corrupt_files_are_refused_in_one_line(exported, tmp_path, content, capsys):
+    path = tmp_path / "bad.onnx"
+    path.write_bytes(exported.read_bytes()[:5000] if content is None else content)
+    with pytest.raises(ArriveError, match=r"truncated, corrupt or no ONNX|no policy of arrive"):
+        Controller.load(path)
+    with pytest.raises(SystemExit):
+        main(["verify", str(path)])
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(ArriveError, match="there is no file"):
+        Controller.load(tmp_path / "none.onnx")
+
+
+def test_velocity_policy_can_be_exported_but_not_driven_to_targets(tmp_path):
+    config = dataclasses.replace(CONFIG, task=dataclasses.replace(CONFIG.task, name="velocity"))
+    config = get_task("velocity").configure(config)
+    Trainer(config, build_env(config, threads=1), tmp_path).save()
+    export_policy(load_policy(tmp_path), tmp_path / "v.onnx")
+    verify(tmp_path / "v.onnx")
+    with pytest.raises(ArriveError, match="speed_command"):
+        Controller.load(tmp_path / "v.onnx")
+
+
+# Log.
+
+
+def test_replay_gives_identical_commands(exported, tmp_path):
+    log, rng = ControlLog(), np.random.default_rng(0)
+    controller = Controller.load(exported, log=log)
+    heights = rng.normal(0, 0.05, (60, 60))
+    heights[:20] = np.nan
+    goals = [Target((3.0, 1.0, 0.5), 0.6), Joystick(0.4, -0.6), WayPoints(((1.0, 0.0, 0.5), (2.0, 1.0, 0.5))), None]
+    for i in range(160):
+        now = i * DT
+        changes = {"joint_vel": rng.normal(size=12), "base_pos_w": np.array([0.01 * i, 0.0, 0.5])}
+        if i in (30, 31, 70):
+            changes["joint_pos"] = (np.zeros(3), None, np.full(12, np.nan))[i % 3]
+        terrain = HeightMap((-1.5, -1.5), 0.05, heights, now) if i % 2 else "nothing" if i == 90 else flat(now)
+        goal = goals[3] if i == 125 else goals[i // 60]
+        controller.step(standing(controller, now, **changes), goal, terrain, now)
+    log.save(tmp_path / "log.npz")
+    loaded = ControlLog.load(tmp_path / "log.npz")
+    again = replay(loaded, Controller.load(exported))
+    assert {command.mode for command in again} == {"target", "hold", "joystick", "way_points", "safe"}
+    for logged, read, new in zip(log.commands, loaded.commands, again, strict=True):
+        np.testing.assert_array_equal(logged.targets, new.targets)
+        np.testing.assert_array_equal(logged.targets, read.targets)
+        assert (logged.mode, logged.reason) == (new.mode, new.reason) == (read.mode, read.reason)
+    loaded.policy_digest = "other"
+    with pytest.raises(ArriveError, match="another policy"):
+        replay(loaded, controller)
+    (tmp_path / "log.npz").write_bytes(b"PK")
+    with pytest.raises(ArriveError, match="no log"):
+        ControlLog.load(tmp_path / "log.npz")
+
+
+# Without the training stack.
+
+ALONE = """
+import sys
+
+class Forbid:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in FORBIDDEN:
+            raise ImportError(f"{name} must not be needed")
+
+FORBIDDEN = {"torch", "mujoco", "rsl_rl", "tensordict", "onnx", "tyro", "rich", "matplotlib", "PIL", "imageio"}
+sys.meta_path.insert(0, Forbid())
+import numpy as np
+from arrive.deployment import Controller, GridHeights, Joystick, Sensors
+
+controller = Controller.load(sys.argv[1])
+robot = controller.policy.robot
+sensors = Sensors(robot.default_joint_pos_rad, np.zeros(12), (0, 0, 0.5), (1, 0, 0, 0), np.zeros(3), np.zeros(3), 0.0)
+command = controller.step(sensors, Joystick(1.0, 0.0), GridHeights(np.zeros(187), 0.0), 0.0)
+assert not FORBIDDEN & {name.split(".")[0] for name in sys.modules}, sys.modules
+print(command.mode, command.targets.tolist())
+"""
+
+
+def test_controller_runs_without_torch_and_mujoco(exported, controller):
+    result = subprocess.run([sys.executable, "-c", ALONE, str(exported)], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    mode, targets = result.stdout.split(" ", 1)
+    assert mode == "joystick"
+    np.testing.assert_array_equal(json.loads(targets), step(controller, 0.0).targets)
+
+
+def test_safety_is_adjustable(exported):
+    patient = Controller.load(exported, Safety(sensors_age_s=2.0))
+    assert step(patient, 1.5, time_s=0.0).mode == "joystick"
