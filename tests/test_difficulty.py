@@ -10,9 +10,9 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from arrive import commands
 from arrive.build import Placement, build_env
 from arrive.cli import main
+from arrive.commands import evaluation
 from arrive.config import Config, TaskConfig, TerrainConfig, override
 from arrive.errors import ArriveError
 from arrive.evaluation import difficulty
@@ -348,7 +348,7 @@ class TestMeasurement:
 def page(runs):
     """A report of three runs, two of them measured; the pictures, tested elsewhere, are blank."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(commands, "picture_strip", lambda episode, path: Image.new("RGB", (8, 8)).save(path))
+        patch.setattr(evaluation, "picture_strip", lambda episode, path: Image.new("RGB", (8, 8)).save(path))
         for task in ("final", "velocity"):
             arguments = "--protocol difficulty --terrain gap --episodes 4 --levels 2 --threads 1"
             main(["eval", str(runs / task), *arguments.split()])

@@ -1,0 +1,40 @@
+"""`arrive export` and `arrive verify`: a policy for a robot's computer."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import TYPE_CHECKING
+
+from arrive.errors import ArriveError
+from arrive.evaluation.policy import load_policy
+
+if TYPE_CHECKING:
+    from arrive.cli import Export, Verify
+
+
+def export(command: Export) -> None:
+    """Write a policy for a robot's computer."""
+    _need_onnxruntime()
+    from arrive.deployment.export import export_policy
+
+    policy = load_policy(command.policy)
+    export_policy(policy, command.out)
+    print(f"exported: {command.out} ({policy.config.robot}, {policy.config.task.name}, commit {policy.commit})")
+
+
+def verify_file(command: Verify) -> None:
+    """Check an exported policy and say what it is."""
+    _need_onnxruntime()
+    from arrive.deployment.verify import verify
+
+    file = verify(command.file)
+    pairs = len(file.meta["golden"]["actions"])
+    print(
+        f"{command.file} is sound: {file.robot.name}, {len(file.robot.joint_names)} joints, {file.terms[-1].stop} "
+        f"observations, task {file.task.name}, {1.0 / file.period_s:.0f} Hz, {pairs} golden pairs met"
+    )
+
+
+def _need_onnxruntime() -> None:
+    if importlib.util.find_spec("onnxruntime") is None:
+        raise ArriveError("this needs onnxruntime: pip install 'arrive[deploy]'")

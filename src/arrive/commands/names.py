@@ -1,0 +1,47 @@
+"""`arrive list`: what can be chosen by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from arrive.errors import unknown_name
+from arrive.presets import PRESETS
+from arrive.robots import ROBOTS
+from arrive.task.registry import TASKS
+from arrive.task.rewards import CRASH_COST
+from arrive.terrain import FAMILIES
+
+if TYPE_CHECKING:
+    from arrive.cli import List
+
+
+def list_names(command: List) -> None:
+    """Print what can be chosen by name."""
+    names = {
+        "terrains": {f.name: _describe(f) for f in FAMILIES.values()},
+        "presets": {name: _first_line(build) for name, build in PRESETS.items()},
+        "robots": {name: robot.description for name, robot in ROBOTS.items()},
+        "tasks": {name: _first_line(task) for name, task in TASKS.items()},
+        "rewards": {name: _first_line(term) for task in TASKS.values() for name, term in task.rewards.items()}
+        | {CRASH_COST: "Paid once, at a crash."},
+    }
+    if command.what is not None and command.what not in names:
+        raise unknown_name("list", command.what, names)
+    for kind in [command.what] if command.what else names:
+        table = Table(title=kind, title_justify="left", show_header=False, box=None)
+        for name, description in names[kind].items():
+            table.add_row(name, description)
+        Console().print(table)
+
+
+def _describe(family) -> str:
+    if family.lowest == family.highest:
+        return family.description
+    return f"{family.description} ({family.parameter} {family.lowest:g} to {family.highest:g} {family.unit})"
+
+
+def _first_line(thing) -> str:
+    return (thing.__doc__ or "").strip().splitlines()[0]

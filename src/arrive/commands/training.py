@@ -1,0 +1,105 @@
+"""`arrive train`: a new run, or one that goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.progress import Progress
+
+from arrive.build import build_env
+from arrive.commands.threads import use_threads
+from arrive.config import Config, override
+from arrive.errors import ArriveError
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.curves import plot_curves
+from arrive.learning.display import TrainingDisplay
+from arrive.learning.logs import RunLog
+from arrive.learning.rundir import new_run_folder, read_config, write_config
+from arrive.learning.trainer import Trainer
+from arrive.presets import get_preset
+from arrive.task.registry import get_task
+from arrive.terrain import parse_families
+from arrive.validate import validate
+
+if TYPE_CHECKING:
+    from arrive.cli import Train
+
+DEFAULT_PRESET = "robust"
+DEFAULT_MINUTES = 40.0
+"""Training budget where none is given [min]."""
+
+
+def train(command: Train) -> None:
+    """Train a new run or continue one."""
+    threads = use_threads(command.threads)
+    minutes, iterations = _budget(command)
+    config, folder = _resumed(command) if command.resume else _fresh(command)
+    with Progress(transient=True) as bar:
+        worlds = bar.add_task("building terrain", total=None)
+        env = build_env(config, threads=threads, progress=lambda i, n: bar.update(worlds, completed=i, total=n))
+    trainer = Trainer(config, env, folder)
+    log = RunLog(folder)
+    if not command.resume:
+        write_config(folder, config)
+    if command.resume:
+        trainer.load()
+        log.truncate_after(trainer.iteration)
+    elif command.start_from:
+        trainer.warm_start(command.start_from / CHECKPOINT_NAME)
+    title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
+    with TrainingDisplay(title, folder) as display:
+
+        def report(result) -> None:
+            log.write(result)
+            display.update(result)
+
+        trainer.train(minutes, iterations, report)
+    log.close()
+    if trainer.iteration:
+        print(f"curves: {plot_curves(folder)}")
+    print(f"run: {folder} ({trainer.iteration} iterations, {trainer.samples / 1e6:.1f} M samples)")
+
+
+def _budget(command: Train) -> tuple[float | None, int | None]:
+    for name, value in (("minutes", command.minutes), ("iterations", command.iterations)):
+        if value is not None and not 0 < value < math.inf:
+            raise ArriveError(f"--{name} must be positive, not {value}")
+    if command.minutes is None and command.iterations is None:
+        return DEFAULT_MINUTES, None
+    return command.minutes, command.iterations
+
+
+def _fresh(command: Train) -> tuple[Config, Path]:
+    config = get_preset(command.preset or DEFAULT_PRESET)
+    names = tuple(family.name for family in parse_families(command.terrain))
+    task = command.task or config.task.name
+    changes: dict = {
+        "terrain": dataclasses.replace(config.terrain, families=names),
+        "seed": 1 if command.seed is None else command.seed,
+        "task": dataclasses.replace(config.task, name=task),
+    }
+    if command.num_envs is not None:
+        changes["num_envs"] = command.num_envs
+    config = get_task(task).configure(dataclasses.replace(config, **changes))
+    config = override(config, command.set)
+    validate(config)
+    return config, new_run_folder(config, command.out)
+
+
+def _resumed(command: Train) -> tuple[Config, Path]:
+    """The configuration of the run to continue; asking for another one at the same time is an error."""
+    folder = command.resume
+    config, _ = read_config(folder)
+    names = tuple(family.name for family in parse_families(command.terrain))
+    if names != config.terrain.families:
+        raise ArriveError(f"{folder} trains on {','.join(config.terrain.families)}, not {command.terrain}")
+    present = {"preset": config.preset, "task": config.task.name, "num_envs": config.num_envs, "seed": config.seed}
+    changed = [name for name, value in present.items() if getattr(command, name) not in (None, value)]
+    changed += [name for name in ("set", "start_from", "out") if getattr(command, name)]
+    if changed:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+        raise ArriveError(f"a resumed run keeps its configuration: --resume goes without another {flags}")
+    return config, folder
