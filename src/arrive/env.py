@@ -87,6 +87,7 @@ class ArriveEnv(VecEnv):
         self._grid = HeightGrid(config.observation).points.to(self.device)
         self.observer = Observer(task.observation_terms(robot), config.observation.noise, self.device)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
+        self._down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
         dealt = torch.arange(self.num_envs, device=self.device) % len(pool.families)
         self.family_of_env = dealt if assignment is None else assignment[0]
         num_levels = torch.tensor(pool.num_levels, device=self.device)[self.family_of_env]
@@ -179,7 +180,6 @@ class ArriveEnv(VecEnv):
     def _state(self, readings: Readings) -> State:
         buffers, tiles = self._buffers, self._buffers["tile"]
         quat, moving = readings.base_quat_w, (~buffers["fresh"]).float()
-        down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
         points = heading_points(self._grid, readings.base_pos_w, yaw_of(quat))
         return State(
             base_pos_w=readings.base_pos_w,
@@ -187,7 +187,7 @@ class ArriveEnv(VecEnv):
             base_lin_vel_w=readings.base_lin_vel_w,
             base_lin_vel_b=rotate_inverse(quat, readings.base_lin_vel_w),
             base_ang_vel_b=readings.base_ang_vel_b,
-            gravity_b=rotate_inverse(quat, down),
+            gravity_b=rotate_inverse(quat, self._down),
             joint_pos=readings.joint_pos,
             joint_vel=readings.joint_vel,
             joint_acc=(readings.joint_vel - buffers["joint_vel"]) / self.control_dt,

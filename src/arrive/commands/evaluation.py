@@ -107,17 +107,8 @@ def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict:
     for result in answer.results:
         family = result.cell.family
         entry = families.setdefault(family.name, {"parameter": family.parameter, "unit": family.unit, "levels": []})
-        entry["levels"].append(
-            {
-                "level": result.cell.level,
-                "value": result.cell.value,
-                "episodes": result.episodes,
-                "success": result.success,
-                "interval": list(result.interval),
-                "median_distance_m": result.median_distance,
-                "failures": result.failures,
-            }
-        )
+        own = {"level": result.cell.level, "median_distance_m": result.median_distance}
+        entry["levels"].append(own | result.content())
     return {
         "families": families,
         "policy": {"samples": policy.samples, "config": to_dict(policy.config)},

@@ -42,13 +42,13 @@ def train(command: Train) -> None:
         env = build_env(config, threads=threads, progress=lambda i, n: bar.update(worlds, completed=i, total=n))
     trainer = Trainer(config, env, folder)
     log = RunLog(folder)
-    if not command.resume:
-        write_config(folder, config)
     if command.resume:
         trainer.load()
         log.truncate_after(trainer.iteration)
-    elif command.start_from:
-        trainer.warm_start(command.start_from / CHECKPOINT_NAME)
+    else:
+        if command.start_from:
+            trainer.warm_start(command.start_from / CHECKPOINT_NAME)
+        write_config(folder, config)  # last, so that a start that failed leaves the folder free
     title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
     with TrainingDisplay(title, folder) as display:
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -61,6 +62,16 @@ class CellResult:
     def interval(self) -> tuple[float, float]:
         """95 % Wilson interval of the success."""
         return wilson_interval(self.arrived, self.episodes)
+
+    def content(self) -> dict[str, Any]:
+        """The result as JSON data."""
+        return {
+            "value": self.cell.value,
+            "episodes": self.episodes,
+            "success": self.success,
+            "interval": list(self.interval),
+            "failures": dict(sorted(self.failures.items())),
+        }
 
 
 @dataclass(frozen=True)

@@ -135,16 +135,7 @@ def _telling(episodes: Sequence[Episode]) -> Episode:
 def family_content(results: Sequence[CellResult]) -> dict[str, Any]:
     """Success with its intervals at every level of a family, and the largest parameters solved."""
     family = results[0].cell.family
-    levels = [
-        {
-            "value": result.cell.value,
-            "episodes": result.episodes,
-            "success": result.success,
-            "interval": list(result.interval),
-            "failures": dict(sorted(result.failures.items())),
-        }
-        for result in results
-    ]
+    levels = [result.content() for result in results]
     largest = {f"max_at_{share * 100:.0f}": max_at(results, share) for share in SHARES}
     return {"parameter": family.parameter, "unit": family.unit, "levels": levels} | largest
 

@@ -56,7 +56,7 @@ def load_policy(path: Path) -> Policy:
     config = from_dict(Config, content["config"])
     size = content["schema"][-1]["stop"]
     sample = TensorDict({POLICY: torch.zeros(1, size)}, batch_size=[1])
-    num_actions = sum(1 for name in content["actor"]["distribution.log_std_param"])
+    num_actions = len(content["actor"]["distribution.log_std_param"])
     actor = make_actor(config.ppo, sample, num_actions)
     try:
         actor.load_state_dict(content["actor"])

@@ -1,5 +1,6 @@
 """Stops learning from numbers that are none: finds the term and the environments, and keeps the evidence."""
 
+import math
 from pathlib import Path
 
 import torch
@@ -27,9 +28,7 @@ def check_terms(kind: str, terms: dict[str, Tensor]) -> None:
     Raises:
         NonFiniteError: names the terms and the environments.
     """
-    bad = {
-        name: ~value.flatten(1).isfinite().all(-1) for name, value in ((n, v.unsqueeze(-1)) for n, v in terms.items())
-    }
+    bad = {name: ~value.reshape(len(value), -1).isfinite().all(-1) for name, value in terms.items()}
     bad = {name: mask for name, mask in bad.items() if bool(mask.any())}
     if bad:
         parts = [f"{name} in environments {_listed(mask)}" for name, mask in bad.items()]
@@ -42,7 +41,7 @@ def check_losses(losses: dict[str, float], parameters: dict[str, Tensor]) -> Non
     Raises:
         NonFiniteError: names the losses and parameters.
     """
-    names = [f"loss {name}" for name, value in losses.items() if value != value or abs(value) == float("inf")]
+    names = [f"loss {name}" for name, value in losses.items() if not math.isfinite(value)]
     broken = {name: value for name, value in parameters.items() if not bool(value.isfinite().all())}
     if names or broken:
         raise NonFiniteError(f"non-finite after the update: {', '.join([*names, *broken])}", broken)
@@ -57,11 +56,10 @@ def save_dump(folder: Path, iteration: int, error: NonFiniteError, state: dict) 
 
 def _listed(mask: Tensor) -> str:
     ids = mask.nonzero().squeeze(-1).tolist()
-    return ", ".join(map(str, ids[:MAX_LISTED])) + (
-        f" and {len(ids) - MAX_LISTED} more" if len(ids) > MAX_LISTED else ""
-    )
+    more = f" and {len(ids) - MAX_LISTED} more" if len(ids) > MAX_LISTED else ""
+    return ", ".join(map(str, ids[:MAX_LISTED])) + more
 
 
-def finite_sum(terms: dict[str, Tensor]) -> bool:
+def all_finite(*tensors: Tensor) -> bool:
     """Whether all values are finite, by one cheap reduction each."""
-    return all(bool(torch.isfinite(value.sum())) for value in terms.values())
+    return all(bool(torch.isfinite(tensor.sum())) for tensor in tensors)

@@ -19,7 +19,7 @@ from arrive.learning.checkpoint import (
     load_checked,
     save_atomically,
 )
-from arrive.learning.guard import NonFiniteError, check_losses, check_terms, finite_sum, save_dump
+from arrive.learning.guard import NonFiniteError, all_finite, check_losses, check_terms, save_dump
 from arrive.learning.interrupt import interruptible
 from arrive.learning.ppo import make_ppo
 from arrive.learning.report import IterationReport
@@ -115,7 +115,7 @@ class Trainer:
         return self._statistics.finish_iteration()
 
     def _check_step(self, observations: TensorDict, rewards: torch.Tensor) -> None:
-        if finite_sum({"observation": observations[POLICY], "reward": rewards}):
+        if all_finite(observations[POLICY], rewards):
             return
         check_terms("reward", self.env.log.rewards)
         observation = observations[POLICY]
