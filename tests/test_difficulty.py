@@ -22,6 +22,7 @@ from arrive.evaluation.playing import Played, play
 from arrive.evaluation.policy import load_policy
 from arrive.evaluation.table import PAPER, make_relations
 from arrive.presets import PAPER_REWARDS, get_preset
+from arrive.task.feet import follow_feet
 from arrive.task.registry import TASKS, get_task
 from arrive.task.rewards import MOTION_COSTS
 from arrive.task.state import State
@@ -109,17 +110,19 @@ class TestVelocity:
     def test_a_foot_is_paid_on_landing_for_its_time_in_the_air_beyond_half_a_second(self):
         task = velocity_task()
         task.command.speed[:] = 1.0
-        paid = []
+        in_air_s, touched, paid = torch.zeros(1, 4), torch.ones(1, 4, dtype=torch.bool), []
         for step in range(60):
             # In the air in steps 5 to 44; one step of stance is forgiven when a contact is lost.
-            contacts = torch.ones(1, 4)
-            contacts[0, 2] = float(not 5 <= step < 45)
-            task.follow(a_state(foot_contacts=contacts))
-            paid.append(float(air_time(a_state(), task.command, TaskConfig())))
+            touches = torch.ones(1, 4, dtype=torch.bool)
+            touches[0, 2] = not 5 <= step < 45
+            in_air_s, landed_s = follow_feet(in_air_s, touched, touches, DT)
+            touched = touches
+            paid.append(float(air_time(a_state(foot_landed_s=landed_s), task.command, TaskConfig())))
         assert [step for step, value in enumerate(paid) if value] == [45]
         assert paid[45] == pytest.approx(40 * DT - 0.5, abs=1e-5)
         task.command.speed[:] = 0.0
-        assert not air_time(a_state(), task.command, TaskConfig()).any()
+        landed = a_state(foot_landed_s=torch.full((1, 4), 0.3))
+        assert not air_time(landed, task.command, TaskConfig()).any()
 
     def test_commands_are_within_range_and_renewed_after_ten_seconds(self):
         task = velocity_task(2000)

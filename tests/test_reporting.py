@@ -35,7 +35,7 @@ def make_report(iteration: int, **changes) -> IterationReport:
         time_left_s=3.7 * (100 - iteration),
         samples_per_s=6512.0,
         arrival=math.nan if iteration < 3 else 0.42,
-        exploration_active=iteration < 50,
+        exploration_paid=float(iteration < 50),
         task_fraction=0.31,
         families={
             "flat": FamilyReport(0.9, 0.0, (64,)),

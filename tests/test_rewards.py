@@ -143,9 +143,15 @@ def test_stand_reward_is_earned_at_rest_at_the_target_in_the_window():
     assert 0.0 < earned(1.0, 0.0, 0.0) < earned(0.5, 0.0, 0.0) < 0.5
 
 
+def test_short_step_cost_is_what_the_time_in_the_air_of_landing_feet_lacks_of_half_a_second():
+    landed = (0.0, 0.1, 0.5, 0.9)  # the first has not landed just now
+    assert value_of("short_step_cost", a_state(foot_landed_s=landed), a_command()) == pytest.approx(0.4)
+
+
 def test_no_term_is_without_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
+    tested |= {"short_step_cost"}
     assert set(REWARDS) == tested | {"action_rate_cost", "foot_acc_cost", "approach", "stand", "tilt_cost"}
     assert all(getattr(rewards, name) is function for name, function in REWARDS.items())
 

@@ -276,6 +276,10 @@ FAR, NEAR = 10.0, 0.0
 INSIDE, OUTSIDE = 0.5, 3.0
 
 
+def a_switch(robots: int = 1, config: TaskConfig = TASK, families: tuple[int, ...] | None = None) -> ExplorationSwitch:
+    return ExplorationSwitch(config, torch.tensor(families or robots * (0,)))
+
+
 def feed(switch: ExplorationSwitch, samples: list[tuple[float, float]], steps: int = 50, eligible=None) -> None:
     """Robots at these (distance to target, time left) for some policy steps."""
     n = len(samples)
@@ -285,71 +289,97 @@ def feed(switch: ExplorationSwitch, samples: list[tuple[float, float]], steps: i
     everyone = torch.ones(n, dtype=torch.bool) if eligible is None else torch.tensor(eligible)
     for _ in range(steps):
         share, paid = task_share(a_state(n), command, TASK)
-        switch.record(share, paid & everyone)
+        switch.record(share, (paid & everyone).float())
 
 
 class TestExplorationSwitch:
     """The reward window is the last second."""
 
     def test_goes_when_robots_are_near_inside_the_window_although_the_mean_over_all_is_low(self):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch(10)
         feed(switch, [(NEAR, INSIDE)] + 9 * [(FAR, OUTSIDE)])
         assert switch.fraction == pytest.approx(1.0)
-        assert switch.factor == 0.0
+        assert switch.factor.tolist() == 10 * [0.0]
 
     def test_stays_when_robots_are_far_inside_the_window_although_the_mean_over_all_is_high(self):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch(10)
         feed(switch, [(3.0, INSIDE)] + 9 * [(NEAR, OUTSIDE)])
         assert switch.fraction == pytest.approx(0.1)
-        assert switch.factor == 1.0
+        assert switch.factor.tolist() == 10 * [1.0]
 
     @pytest.mark.parametrize(("distance", "factor"), [(0.999, 0.0), (1.001, 1.0)])
     def test_goes_at_half_of_the_maximum(self, distance, factor):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch()
         feed(switch, [(distance, INSIDE)])
         assert switch.factor == factor
 
     def test_never_comes_back(self):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch()
         feed(switch, [(NEAR, INSIDE)])
         feed(switch, [(FAR, INSIDE)], steps=500)
         assert switch.fraction < 0.5
         assert switch.factor == 0.0
 
     def test_looks_at_the_recent_past_only(self):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch()
         feed(switch, [(FAR, INSIDE)], steps=1000)
         feed(switch, [(NEAR, INSIDE)])
         assert switch.factor == 0.0
 
+    def test_goes_on_the_families_that_are_solved_and_stays_on_the_others(self):
+        switch = a_switch(families=(0, 1, 0, 1))
+        feed(switch, [(NEAR, INSIDE), (FAR, INSIDE), (NEAR, INSIDE), (NEAR, OUTSIDE)])
+        assert switch.factor.tolist() == [0.0, 1.0, 0.0, 1.0]
+        assert switch.paid == 0.5
+        assert switch.fraction == pytest.approx(0.5, abs=0.01)
+
     def test_shortened_episodes_are_left_out(self):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch(2)
         feed(switch, [(NEAR, INSIDE), (3.0, INSIDE)], eligible=[False, True])
         assert switch.fraction == pytest.approx(0.1)
-        fresh = ExplorationSwitch(TASK)
+        fresh = a_switch()
         feed(fresh, [(NEAR, INSIDE)], eligible=[False])
         assert fresh.factor == 1.0
 
     def test_keeps_what_is_asked_for(self):
-        switch = ExplorationSwitch(replace(TASK, exploration_kept=0.2))
+        switch = a_switch(config=replace(TASK, exploration_kept=0.2))
         assert switch.factor == 1.0
         feed(switch, [(NEAR, INSIDE)])
-        assert switch.factor == 0.2
+        assert switch.factor == pytest.approx(0.2)
 
     def test_nothing_in_the_window_decides_nothing(self):
-        switch = ExplorationSwitch(TASK)
+        switch = a_switch()
         feed(switch, [(NEAR, OUTSIDE)], steps=200)
         assert switch.factor == 1.0
 
     @pytest.mark.parametrize("before", [(FAR, 30), (NEAR, 30), (NEAR, 50)])
     def test_goes_on_from_its_state(self, before):
-        switch, other = ExplorationSwitch(TASK), ExplorationSwitch(TASK)
+        switch, other = a_switch(), a_switch()
         feed(switch, [(before[0], INSIDE)], steps=before[1])
         other.load_state_dict(switch.state_dict())
         for resumed in (switch, other):
             feed(resumed, [(FAR, INSIDE)], steps=20)
-        assert other.state_dict() == switch.state_dict()
+        for name, value in other.state_dict().items():
+            torch.testing.assert_close(switch.state_dict()[name], value, equal_nan=True)
         assert (other.factor, other.fraction) == (switch.factor, switch.fraction)
+
+
+@pytest.mark.parametrize(
+    ("time_left_s", "failed", "share", "samples"),
+    [
+        (0.5, False, 0.5, 1.0),
+        (3.0, False, 0.5, 0.0),
+        (3.0, True, 0.0, 50.0),  # a crash before the window costs all of its 50 steps
+        (0.5, True, 0.0, 25.0),  # and one inside it the rest
+    ],
+)
+def test_the_window_that_a_crash_cut_off_counts_as_zero(time_left_s, failed, share, samples):
+    task = a_task(tile_of("flat"), 1, TASK)
+    task.command.target_w[:] = torch.tensor([1.0, 0.0, 0.0])
+    task.command.time_left_s[:] = time_left_s
+    found, weight = task.task_share(a_state(1), torch.tensor([failed]))
+    assert float(found) == pytest.approx(share)
+    assert float(weight) == pytest.approx(samples)
 
 
 def test_a_fresh_run_does_not_judge_exploration_by_its_shortened_episodes():
@@ -360,7 +390,7 @@ def test_a_fresh_run_does_not_judge_exploration_by_its_shortened_episodes():
         in_window += int((env.task.command.time_left_s < 1.0).sum())
         env.step(torch.zeros(16, 12))
     assert in_window > 0
-    assert env.exploration.state_dict()["count"] == 0
+    assert float(env.exploration.state_dict()["sums"][1]) == 0.0
 
 
 def test_full_episodes_do_count_for_exploration():
@@ -370,7 +400,7 @@ def test_full_episodes_do_count_for_exploration():
     env.task.command.time_left_s[:] = torch.tensor([0.5, 3.0])
     for _ in range(20):
         env.step(torch.zeros(2, 12))
-    assert env.exploration.state_dict()["count"] == 20
+    assert float(env.exploration.state_dict()["sums"][1]) == 20.0
 
 
 def test_every_random_episode_pays_at_most_one_window():

@@ -288,7 +288,7 @@ def collected(folder, *settings: str) -> tuple[Trainer, Tensor, Tensor, Tensor]:
         return answer
 
     trainer.env.step = recording
-    trainer._collect()
+    trainer.collect()
     return trainer, torch.stack(rewards), torch.stack(dones).bool(), torch.stack(failed)
 
 
@@ -315,9 +315,9 @@ def test_symmetry_doubles_every_mini_batch(tmp_path, symmetry):
     trainer = make_trainer(tmp_path / "run", f"ppo.symmetry={symmetry}")
     sizes = []
     trainer.algorithm.critic.register_forward_pre_hook(lambda module, inputs: sizes.append(len(inputs[0][POLICY])))
-    trainer._collect()
+    trainer.collect()
     sizes.clear()
-    losses = trainer._learn()
+    losses = trainer.learn()
     mini_batch = NUM_ENVS * STEPS // 2
     assert set(sizes) == {2 * mini_batch if symmetry else mini_batch}
     assert ("symmetry" in losses) == symmetry

@@ -1,4 +1,4 @@
-"""The command line: `arrive train | eval | report | export | verify | list`."""
+"""The command line: `arrive train | eval | report | export | verify | bench | list`."""
 
 import sys
 from dataclasses import dataclass, field
@@ -99,6 +99,30 @@ class Verify:
 
 
 @dataclass(frozen=True)
+class Bench:
+    """Measure how fast this machine simulates, collects and learns."""
+
+    terrain: tyro.conf.Positional[str] = "flat"
+    """Terrain family, several joined by commas, or `all`."""
+    preset: str | None = None
+    """Named configuration, see `arrive list`; `robust` by default."""
+    task: str | None = None
+    """Named task, see `arrive list`; the preset's own by default."""
+    num_envs: int | None = None
+    """Robots simulated side by side; the preset's own number by default."""
+    threads: int = 0
+    """CPU threads for physics and learning; 0 takes every CPU."""
+    rounds: int = 7
+    """Repetitions of every measurement."""
+    start_from: Path | None = None
+    """Run folder whose policy moves the robots; without it they fall."""
+    set: tuple[str, ...] = ()
+    """Changes to the configuration as PATH=VALUE, e.g. ppo.hidden=[512,256,128]."""
+    json: Path | None = None
+    """File for the result as JSON."""
+
+
+@dataclass(frozen=True)
 class List:
     """Name the terrains, presets, robots and tasks."""
 
@@ -112,6 +136,7 @@ Command = (
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[List, tyro.conf.subcommand("list")]
 )
 
@@ -128,6 +153,7 @@ def main(arguments: list[str] | None = None) -> None:
         Report: commands.report,
         Export: commands.export,
         Verify: commands.verify_file,
+        Bench: commands.bench,
         List: commands.list_names,
     }[type(command)]
     try:

@@ -9,6 +9,8 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from arrive.errors import ArriveError, unknown_name
 from arrive.physics.options import PhysicsConfig
 
+Precision = Literal["float32", "bfloat16", "auto"]
+
 
 @dataclass(frozen=True)
 class ObservationConfig:
@@ -136,6 +138,9 @@ class PPOConfig:
     """First standard deviation of the action noise, whose logarithm is learnt."""
     hidden: tuple[int, ...] = (512, 256, 128)
     """Hidden layers of actor and critic."""
+    precision: Precision = "float32"
+    """Arithmetic of the hidden layers in training; `auto` takes bfloat16 on CPUs that multiply it in hardware. Weights,
+    losses, evaluation and exported policies are float32 always."""
     symmetry: bool = False
     """Whether each batch is doubled by its left-right mirror image."""
 

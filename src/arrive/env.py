@@ -12,7 +12,8 @@ from arrive.errors import ArriveError, unknown_name
 from arrive.physics.engine import Physics, Readings
 from arrive.robots.robot import Robot
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
-from arrive.task.heights import HeightGrid, heading_points, look_up
+from arrive.task.feet import follow_feet
+from arrive.task.heights import HeightGrid, grid_heights
 from arrive.task.observations import Observer
 from arrive.task.rewards import CRASH_COST, EXPLORATION_REWARDS
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
@@ -94,11 +95,11 @@ class ArriveEnv(VecEnv):
         self.curriculum = LevelCurriculum(num_levels, config.terrain.start_level, generator)
         if assignment is not None:
             self.curriculum.levels = assignment[1]
-        self.exploration = ExplorationSwitch(config.task)
+        self.exploration = ExplorationSwitch(config.task, self.family_of_env)
         self.log = StepLog()
         self._allocate()
         self._reset(torch.arange(self.num_envs, device=self.device), first=learning)
-        self._read(advance=False)
+        self._read()
 
     def _allocate(self) -> None:
         n, joints, feet = self.num_envs, self.num_actions, len(self.robot.foot_sites)
@@ -108,7 +109,10 @@ class ArriveEnv(VecEnv):
             "previous_action": zeros(n, joints),
             "joint_vel": zeros(n, joints),
             "foot_vel": zeros(n, feet, 3),
+            "foot_air_s": zeros(n, feet),
+            "foot_touched": torch.zeros(n, feet, dtype=torch.bool, device=self.device),
             "fresh": torch.ones(n, dtype=torch.bool, device=self.device),
+            "moved": torch.zeros(n, dtype=torch.bool, device=self.device),
             "shortened": torch.zeros(n, dtype=torch.bool, device=self.device),
             "retired": torch.zeros(n, dtype=torch.bool, device=self.device),
             "tile": torch.zeros(n, dtype=torch.long, device=self.device),
@@ -131,21 +135,24 @@ class ArriveEnv(VecEnv):
         """
         self._act(actions)
         self._simulate()
-        state = self._read(advance=True)
+        state = self._read()
+        self._remember(state)
         outcome, time_out = self._terminate(state)
         rewards = self._reward(state)
         self._record(outcome)
         self._restart()
         self._push()
+        self._look_again()
         return self.get_observations(), rewards, self._ended.long(), self._extras(time_out)
 
     def get_observations(self) -> TensorDict:
         """The current observations, with fresh noise."""
-        state = self.state
-        if self._stale:
-            state = self._read(advance=False)
-        observation = self.observer.observe(state, self.task.command, self._generator)
+        observation = self.observer.observe(self.state, self.task.command, self._generator)
         return TensorDict({POLICY: observation}, batch_size=[self.num_envs], device=self.device)
+
+    def joint_targets(self, actions: Tensor) -> Tensor:
+        """What actions mean: (num_envs, joints) [rad]."""
+        return self._default_joint_pos + self.robot.action_scale * actions
 
     def retire(self, env_ids: Tensor) -> None:
         """Take robots out of the simulation for good: an evaluation has seen what it wanted of them."""
@@ -159,47 +166,68 @@ class ArriveEnv(VecEnv):
         self._buffers["action"].copy_(actions)
 
     def _simulate(self) -> None:
-        targets = self._default_joint_pos + self.robot.action_scale * self._buffers["action"]
-        self.physics.step(targets)
+        self.physics.step(self.joint_targets(self._buffers["action"]))
         self.episode_length_buf += 1
 
-    def _read(self, advance: bool) -> State:
-        """Take the robots' state from physics; `advance` also differentiates velocities over the step."""
+    def _read(self) -> State:
+        """Take the robots' state from physics."""
         readings = self.physics.read()
         self._finite = readings.finite
         if not bool(readings.finite.all()):
             readings = _silence(readings)
-        self.state = self._state(readings)
-        if advance:
-            self._buffers["joint_vel"].copy_(readings.joint_vel)
-            self._buffers["foot_vel"].copy_(readings.foot_vel_w)
-            self._buffers["fresh"].zero_()
-        self._stale = False
+        self.state = self._state(readings, self._buffers)
+        self._buffers["moved"].zero_()
         return self.state
 
-    def _state(self, readings: Readings) -> State:
-        buffers, tiles = self._buffers, self._buffers["tile"]
+    def _remember(self, state: State) -> None:
+        """Keep what the next step is compared with."""
+        buffers = self._buffers
+        buffers["joint_vel"].copy_(state.joint_vel)
+        buffers["foot_vel"].copy_(state.foot_vel_w)
+        touches = state.foot_contacts > 0
+        in_air_s, _ = follow_feet(buffers["foot_air_s"], buffers["foot_touched"], touches, self.control_dt)
+        buffers["foot_air_s"].copy_(in_air_s)
+        buffers["foot_touched"].copy_(touches)
+        buffers["fresh"].zero_()
+
+    def _look_again(self) -> None:
+        """Read the robots that were reset or pushed since the others were read."""
+        ids = self._buffers["moved"].nonzero().squeeze(-1)
+        if not len(ids):
+            return
+        buffers = {name: value[ids] for name, value in self._buffers.items()}
+        readings = Readings(**{name: value[ids] for name, value in vars(self.physics.read()).items()})
+        for name, value in vars(self._state(readings, buffers)).items():
+            getattr(self.state, name)[ids] = value
+        self._buffers["moved"].zero_()
+
+    def _state(self, readings: Readings, buffers: dict[str, Tensor]) -> State:
+        """The state of robots from their readings and their rows of the buffers."""
         quat, moving = readings.base_quat_w, (~buffers["fresh"]).float()
-        points = heading_points(self._grid, readings.base_pos_w, yaw_of(quat))
+        rasters, tiles = self.pool.rasters, buffers["tile"]
+        touches = readings.foot_contacts > 0
+        _, landed_s = follow_feet(buffers["foot_air_s"], buffers["foot_touched"], touches, self.control_dt)
         return State(
             base_pos_w=readings.base_pos_w,
             base_quat_w=quat,
             base_lin_vel_w=readings.base_lin_vel_w,
             base_lin_vel_b=rotate_inverse(quat, readings.base_lin_vel_w),
             base_ang_vel_b=readings.base_ang_vel_b,
-            gravity_b=rotate_inverse(quat, self._down),
+            gravity_b=rotate_inverse(quat, self._down[: len(quat)]),
             joint_pos=readings.joint_pos,
             joint_vel=readings.joint_vel,
             joint_acc=(readings.joint_vel - buffers["joint_vel"]) / self.control_dt,
             joint_torque=readings.joint_torque,
+            foot_vel_w=readings.foot_vel_w,
             foot_acc_w=(readings.foot_vel_w - buffers["foot_vel"]) * (moving / self.control_dt)[:, None, None],
+            foot_landed_s=landed_s,
             action=buffers["action"],
             previous_action=buffers["previous_action"],
             crash_contacts=readings.crash_contacts,
             collision_contacts=readings.collision_contacts,
             foot_contacts=readings.foot_contacts,
-            heights_w=look_up(self.pool.rasters.heights, tiles, points),
-            fall_height=self.pool.rasters.fall_height[tiles],
+            heights_w=grid_heights(rasters.heights, tiles, self._grid, readings.base_pos_w, yaw_of(quat)),
+            fall_height=rasters.fall_height[tiles],
         )
 
     def _terminate(self, state: State) -> tuple[Outcome, Tensor]:
@@ -215,15 +243,16 @@ class ArriveEnv(VecEnv):
     def _reward(self, state: State) -> Tensor:
         command, dt = self.task.command, self.control_dt
         terms: dict[str, Tensor] = {}
+        exploration = self.exploration.factor
         for name, (function, weight) in self._terms.items():
-            factor = self.exploration.factor if name in EXPLORATION_REWARDS else 1.0
+            factor = exploration if name in EXPLORATION_REWARDS else 1.0
             terms[name] = function(state, command, self.config.task) * (weight * factor * dt)
         if CRASH_COST in self.config.task.rewards:
             terms[CRASH_COST] = self._failed * self.config.task.rewards[CRASH_COST]
         if not bool(self._finite.all()):
             terms = {name: torch.where(self._finite, value, 0.0) for name, value in terms.items()}
-        share, paid = self.task.task_share(state)
-        self.exploration.record(share, paid & self._finite & ~self._buffers["shortened"])
+        share, weight = self.task.task_share(state, self._failed)
+        self.exploration.record(share, weight * (self._finite & ~self._buffers["shortened"]))
         self.log = StepLog(rewards=terms, diverged=int((~self._finite).sum()))
         return torch.stack(list(terms.values())).sum(0)
 
@@ -256,14 +285,14 @@ class ArriveEnv(VecEnv):
         self._buffers["tile"][ids] = self.pool.tile_of_world.to(self.device)[worlds]
         qpos, qvel = self._start_states(len(ids))
         self.physics.reset(ids, qpos, qvel)
-        for name in ("action", "previous_action", "foot_vel"):
-            self._buffers[name][ids] = 0.0
+        for name in ("action", "previous_action", "foot_vel", "foot_air_s", "foot_touched"):
+            self._buffers[name][ids] = 0
         self._buffers["joint_vel"][ids] = qvel[:, 6:].float()
         self._buffers["fresh"][ids] = True
+        self._buffers["moved"][ids] = True
         self._buffers["shortened"][ids] = first
         self.episode_length_buf[ids] = 0
         self.task.new_command(Start(ids, qpos[:, :3].float(), self._buffers["tile"][ids]), first)
-        self._stale = True
 
     def _choose_worlds(self, ids: Tensor) -> Tensor:
         variant = (self._uniform(len(ids)) * self.config.terrain.variants).long()
@@ -293,12 +322,12 @@ class ArriveEnv(VecEnv):
             velocity = torch.zeros(len(ids), 3, dtype=torch.double, device=self.device)
             velocity[:, :2] = config.push_speed * (2.0 * self._uniform(len(ids), 2) - 1.0)
             self.physics.push(ids, velocity)
-            self._stale = True
+            self._buffers["moved"][ids] = True
 
     @property
-    def exploration_paid(self) -> bool:
-        """Whether an exploration reward is configured and has not been removed yet."""
-        return self.exploration.active and any(name in self._terms for name in EXPLORATION_REWARDS)
+    def exploration_paid(self) -> float:
+        """Share of the robots to which an exploration reward is still paid in full."""
+        return self.exploration.paid if any(name in self._terms for name in EXPLORATION_REWARDS) else 0.0
 
     def _extras(self, time_out: Tensor) -> dict:
         return {"time_outs": time_out.float()} if self.config.task.bootstrap_timeouts else {}
@@ -330,7 +359,7 @@ class ArriveEnv(VecEnv):
         self.exploration.load_state_dict(state["exploration"])
         self.episode_length_buf.copy_(state["episode_length"])
         self._generator.set_state(state["generator"])
-        self._read(advance=False)
+        self._read()
 
 
 def _weighted_terms(task: Task, weights: dict[str, float]) -> dict:

@@ -42,7 +42,13 @@ def robust() -> Config:
             rewards=PAPER_REWARDS | {"exploration": 0.0, "approach": 2.0, "crash_cost": -2.0},
         ),
         ppo=PPOConfig(
-            num_steps=24, gamma=0.995, desired_kl=0.02, entropy_after=0.001, init_std=0.5, hidden=(256, 128, 64)
+            num_steps=24,
+            gamma=0.995,
+            desired_kl=0.02,
+            entropy_after=0.001,
+            init_std=0.5,
+            hidden=(256, 128, 64),
+            precision="auto",
         ),
     )
 

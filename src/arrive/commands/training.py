@@ -17,6 +17,7 @@ from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay
 from arrive.learning.logs import RunLog
+from arrive.learning.networks import choose_precision
 from arrive.learning.rundir import new_run_folder, read_config, write_config
 from arrive.learning.trainer import Trainer
 from arrive.presets import get_preset
@@ -73,20 +74,39 @@ def _budget(command: Train) -> tuple[float | None, int | None]:
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:
-    config = get_preset(command.preset or DEFAULT_PRESET)
-    names = tuple(family.name for family in parse_families(command.terrain))
-    task = command.task or config.task.name
-    changes: dict = {
-        "terrain": dataclasses.replace(config.terrain, families=names),
-        "seed": 1 if command.seed is None else command.seed,
-        "task": dataclasses.replace(config.task, name=task),
-    }
-    if command.num_envs is not None:
-        changes["num_envs"] = command.num_envs
-    config = get_task(task).configure(dataclasses.replace(config, **changes))
-    config = override(config, command.set)
-    validate(config)
+    config = fresh_config(command.terrain, command.preset, command.task, command.num_envs, command.seed, command.set)
     return config, new_run_folder(config, command.out)
+
+
+def fresh_config(
+    terrain: str,
+    preset: str | None = None,
+    task: str | None = None,
+    num_envs: int | None = None,
+    seed: int | None = None,
+    changes: tuple[str, ...] = (),
+) -> Config:
+    """The configuration of a new run from what a command line says; None stands for the preset's own.
+
+    Raises:
+        ArriveError: a name is unknown or a value out of range.
+    """
+    config = get_preset(preset or DEFAULT_PRESET)
+    names = tuple(family.name for family in parse_families(terrain))
+    task = task or config.task.name
+    config = dataclasses.replace(
+        config,
+        terrain=dataclasses.replace(config.terrain, families=names),
+        seed=1 if seed is None else seed,
+        task=dataclasses.replace(config.task, name=task),
+        num_envs=config.num_envs if num_envs is None else num_envs,
+    )
+    config = override(get_task(task).configure(config), changes)
+    # Chosen once, so that a run keeps it wherever it goes on.
+    ppo = dataclasses.replace(config.ppo, precision=choose_precision(config.ppo.precision))
+    config = dataclasses.replace(config, ppo=ppo)
+    validate(config)
+    return config
 
 
 def _resumed(command: Train) -> tuple[Config, Path]:

@@ -121,9 +121,10 @@ def panel(report: IterationReport, title: str, folder: str, bars: str = BARS) ->
 
 def exploration_state(report: IterationReport) -> str:
     """Whether the exploration reward (paper, eq. 3) is still paid, and what it waits for."""
-    if not report.exploration_active:
+    if not report.exploration_paid:
         return "removed"
-    return f"paid, task reward at {_percent(report.task_fraction)} of its maximum; goes at 50 %"
+    where = "paid" if report.exploration_paid == 1.0 else f"paid to {_percent(report.exploration_paid)} of the robots"
+    return f"{where}, task reward at {_percent(report.task_fraction)} of its maximum; goes at 50 %"
 
 
 def level_bars(levels: tuple[int, ...], bars: str = BARS) -> Text:

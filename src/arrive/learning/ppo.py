@@ -9,9 +9,13 @@ from tensordict import TensorDict
 
 from arrive.config import PPOConfig
 from arrive.env import POLICY, ArriveEnv
+from arrive.learning.networks import choose_precision
 from arrive.learning.symmetry import Augmentation, make_mirror
 
-MODEL_CLASS = "rsl_rl.models:MLPModel"
+MODEL_CLASSES = {
+    "float32": "rsl_rl.models:MLPModel",
+    "bfloat16": "arrive.learning.networks:MixedPrecisionModel",
+}
 DISTRIBUTION_CLASS = "rsl_rl.modules.distribution:GaussianDistribution"
 
 
@@ -32,7 +36,7 @@ def make_actor(config: PPOConfig, observations: TensorDict, num_actions: int) ->
 
 def _actor_settings(config: PPOConfig) -> dict:
     return {
-        "class_name": MODEL_CLASS,
+        "class_name": MODEL_CLASSES[choose_precision(config.precision)],
         "hidden_dims": list(config.hidden),
         "activation": "elu",
         "distribution_cfg": {"class_name": DISTRIBUTION_CLASS, "init_std": config.init_std, "std_type": "log"},
@@ -46,7 +50,11 @@ def _settings(config: PPOConfig, env: ArriveEnv) -> dict:
         "obs_groups": {"actor": [POLICY], "critic": [POLICY]},
         "multi_gpu": None,
         "actor": _actor_settings(config),
-        "critic": {"class_name": MODEL_CLASS, "hidden_dims": list(config.hidden), "activation": "elu"},
+        "critic": {
+            "class_name": MODEL_CLASSES[choose_precision(config.precision)],
+            "hidden_dims": list(config.hidden),
+            "activation": "elu",
+        },
         "algorithm": {
             "class_name": "rsl_rl.algorithms:PPO",
             "num_learning_epochs": config.epochs,

@@ -32,10 +32,10 @@ class IterationReport:
     samples_per_s: float
     arrival: float
     """Share of recently finished episodes that arrived, NaN before the first one."""
-    exploration_active: bool
-    """Whether the exploration reward (paper, eq. 3) is still paid."""
+    exploration_paid: float
+    """Share of the robots to which the exploration reward (paper, eq. 3) is still paid."""
     task_fraction: float
-    """Task reward inside its window as a share of its maximum; the exploration reward goes at 0.5."""
+    """Task reward inside its window as a share of its maximum, mean of the families; on each it goes at 0.5."""
     families: dict[str, FamilyReport] = field(default_factory=dict)
     rewards: dict[str, float] = field(default_factory=dict)
     """Mean weighted reward per step and term, over the iteration."""
@@ -51,7 +51,7 @@ class IterationReport:
             "progress/elapsed_s": self.elapsed_s,
             "progress/samples_per_s": self.samples_per_s,
             "arrival/all": self.arrival,
-            "exploration/active": float(self.exploration_active),
+            "exploration/paid": self.exploration_paid,
             "exploration/task_fraction": self.task_fraction,
         }
         for name, family in self.families.items():

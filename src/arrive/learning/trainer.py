@@ -64,14 +64,27 @@ class Trainer:
         saved_at = time.monotonic()
         with interruptible() as interrupted:
             while self._budget(minutes, iterations) < 1.0 and not interrupted():
-                result = self._guarded_iteration()
-                if result is None:
+                if not self.iterate(report, minutes, iterations):
                     continue
-                report(self._report(*result, minutes, iterations))
                 if time.monotonic() - saved_at > save_interval_s:
                     self.save()
                     saved_at = time.monotonic()
         self.save()
+
+    def iterate(self, report: Reporter, minutes: float | None = None, iterations: int | None = None) -> bool:
+        """Collect, learn and report once, of a budget that `train` explains.
+
+        Returns:
+            False where a number was none: training went back to the last good state.
+        """
+        result = self._guarded_iteration()
+        if result is not None:
+            report(self._report(*result, minutes, iterations))
+        return result is not None
+
+    def look(self) -> None:
+        """Take the observations from the environment anew, where somebody else has stepped it."""
+        self._observations = self.env.get_observations()
 
     def _budget(self, minutes: float | None, iterations: int | None) -> float:
         """Share of the budget that is spent."""
@@ -95,14 +108,15 @@ class Trainer:
 
     def _collect_and_learn(self) -> tuple[dict[str, float], dict[str, float]]:
         try:
-            return self._collect(), self._learn()
+            return self.collect(), self.learn()
         except RuntimeError:
             # Torch refuses to draw actions where a mean or deviation is NaN, before any check of ours.
             check_losses({}, self._parameters())
             raise
 
     @torch.inference_mode()
-    def _collect(self) -> dict[str, float]:
+    def collect(self) -> dict[str, float]:
+        """Act for an iteration's steps; mean weighted reward per step and term."""
         observations = self._observations
         for _ in range(self.config.ppo.num_steps):
             actions = self.algorithm.act(observations)
@@ -122,9 +136,10 @@ class Trainer:
         terms = {row["name"]: observation[:, row["start"] : row["stop"]] for row in self.env.observer.schema()}
         check_terms("observation", terms)
 
-    def _learn(self) -> dict[str, float]:
-        exploring = self.env.exploration.active
-        self.algorithm.entropy_coef = self.config.ppo.entropy if exploring else self.config.ppo.entropy_after
+    def learn(self) -> dict[str, float]:
+        """Learn from what was collected; the losses and what else the update has to report."""
+        config, exploring = self.config.ppo, self.env.exploration.paid
+        self.algorithm.entropy_coef = config.entropy_after + exploring * (config.entropy - config.entropy_after)
         losses = self.algorithm.update()
         check_losses(losses, self._parameters())
         std = float(self.algorithm.get_policy().distribution.log_std_param.detach().exp().mean())
@@ -163,7 +178,7 @@ class Trainer:
             time_left_s=self.elapsed_s * max(1.0 / spent - 1.0, 0.0) if spent else float("nan"),
             samples_per_s=batch / seconds,
             arrival=self._statistics.arrival(),
-            exploration_active=self.env.exploration_paid,
+            exploration_paid=self.env.exploration_paid,
             task_fraction=self.env.exploration.fraction,
             families=self._statistics.families(self.env),
             rewards=rewards,

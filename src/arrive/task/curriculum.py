@@ -37,55 +37,76 @@ class LevelCurriculum:
 
 
 class ExplorationSwitch:
-    """Pays the exploration reward until the task reward reaches a share of its maximum (paper, eq. 3).
+    """Pays the exploration reward on a terrain family until the task reward reaches a share of its maximum there.
 
-    The share is taken over the samples inside the reward window only: outside it the task reward is zero by
-    definition, and averaging those in would keep the exploration reward for ever.
+    The paper (eq. 3) trains on one family at a time; where there are several, those that are not solved keep it. The
+    share is taken over the samples inside the reward window only: outside it the task reward is zero by definition, and
+    averaging those in would keep the exploration reward for ever. The samples that a robot misses because it crashed
+    count as zero: without them the few that survive a gap would speak for all.
     """
 
     CHECK_STEPS = 50
     """Policy steps between decisions: one reward window of 1 s."""
 
-    def __init__(self, config: TaskConfig):
-        self._config = config
-        self.active = True
-        self.fraction = 0.0
-        """Mean task reward over its maximum while it was paid, at the last decision."""
-        self._sum, self._count, self._steps = 0.0, 0, 0
+    def __init__(self, config: TaskConfig, family_of_env: Tensor):
+        """Pay it everywhere.
+
+        Args:
+            family_of_env: (num_envs,) index of each robot's terrain family.
+        """
+        self._config, self._family_of_env = config, family_of_env
+        self._families = families = int(family_of_env.max()) + 1
+        device = family_of_env.device
+        self.active = torch.ones(families, dtype=torch.bool, device=device)
+        """(families,) whether it is still paid."""
+        self.fractions = torch.full((families,), torch.nan, device=device)
+        """(families,) mean task reward over its maximum at the last decision that had samples."""
+        self._sums = torch.zeros(2, families, device=device)
+        self._steps = 0
 
     @property
-    def factor(self) -> float:
-        """What the exploration reward is multiplied by."""
-        return 1.0 if self.active else self._config.exploration_kept
+    def factor(self) -> Tensor:
+        """(num_envs,) what each robot's exploration reward is multiplied by."""
+        return torch.where(self.active, 1.0, self._config.exploration_kept)[self._family_of_env]
 
-    def record(self, share: Tensor, paid: Tensor) -> None:
+    @property
+    def paid(self) -> float:
+        """Share of the robots to which it is paid in full."""
+        return float(self.active[self._family_of_env].float().mean())
+
+    @property
+    def fraction(self) -> float:
+        """Mean of the families' fractions, 0 before the first decision."""
+        return float(self.fractions.nanmean().nan_to_num())
+
+    def record(self, share: Tensor, weight: Tensor) -> None:
         """Take in one policy step; every CHECK_STEPS decide.
 
         Args:
             share: (num_envs,) task reward over its maximum.
-            paid: (num_envs,) bool: it is being paid, in an episode of full length.
+            weight: (num_envs,) number of samples inside the reward window, of episodes of full length, it stands for.
         """
-        self._sum += (share * paid).double().sum().item()
-        self._count += int(paid.sum())
+        self._sums.index_add_(1, self._family_of_env, torch.stack([share * weight, weight]))
         self._steps += 1
         if self._steps == self.CHECK_STEPS:
             self._decide()
 
     def _decide(self) -> None:
-        if self._count:
-            self.fraction = self._sum / self._count
-            self.active = self.active and self.fraction < self._config.exploration_until
-        self._sum, self._count, self._steps = 0.0, 0, 0
+        earned, count = self._sums
+        self.fractions = torch.where(count > 0, earned / count, self.fractions)
+        self.active &= ~(self.fractions >= self._config.exploration_until)  # NaN decides nothing
+        self._sums.zero_()
+        self._steps = 0
 
-    def state_dict(self) -> dict[str, float]:
+    def state_dict(self) -> dict[str, Tensor]:
+        """What was decided and what is being gathered."""
         return {
-            "active": self.active,
-            "fraction": self.fraction,
-            "sum": self._sum,
-            "count": self._count,
-            "steps": self._steps,
+            "active": self.active.clone(),
+            "fractions": self.fractions.clone(),
+            "sums": self._sums.clone(),
+            "steps": torch.tensor(self._steps),
         }
 
-    def load_state_dict(self, state: dict[str, float]) -> None:
-        self.active, self.fraction = bool(state["active"]), float(state["fraction"])
-        self._sum, self._count, self._steps = float(state["sum"]), int(state["count"]), int(state["steps"])
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        self.active, self.fractions = state["active"].clone(), state["fractions"].clone()
+        self._sums, self._steps = state["sums"].clone(), int(state["steps"])

@@ -147,8 +147,10 @@ class FinalPositionTask:
         apart[ids] = before | blocked
         return apart
 
-    def task_share(self, state: State) -> tuple[Tensor, Tensor]:
-        return task_share(state, self._command, self._config)
+    def task_share(self, state: State, failed: Tensor) -> tuple[Tensor, Tensor]:
+        share, paid = task_share(state, self._command, self._config)
+        left_s = self._command.time_left_s.clamp(max=self._config.reward_window_s)
+        return share * ~failed, torch.where(failed, left_s / self._dt, paid.float())
 
     def state_dict(self) -> dict[str, Tensor]:
         return {name: value.clone() for name, value in self._memory().items()}

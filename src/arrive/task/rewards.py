@@ -16,6 +16,8 @@ STALL_SPEED = 0.1
 """A base slower than this is waiting (paper, eq. 4) [m/s]."""
 STALL_DISTANCE = 0.5
 """Waiting farther from the target than this is stalling (paper, eq. 4) [m]."""
+AIR_TIME_S = 0.5
+"""How long a foot should be in the air in one step (legged_gym) [s]."""
 
 
 def distance_to_target(state: State, command: Command) -> Tensor:
@@ -95,6 +97,16 @@ def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
     return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
 
 
+def short_step_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+    """Sum over the feet that have just landed of what their time in the air lacked of 0.5 s, (n,) [s].
+
+    Not in the paper. The half of legged_gym's air-time reward that cannot be earned by holding a foot up. Like there it
+    is an event, yet multiplied by the time step like a rate.
+    """
+    landed = state.foot_landed_s
+    return ((AIR_TIME_S - landed).clamp(min=0.0) * (landed > 0)).sum(-1)
+
+
 def stand(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Standing still at the target during the reward window. Not in the paper.
 
@@ -129,6 +141,7 @@ REWARDS: dict[str, RewardFunction] = {
     "stall_cost": stall_cost,
     "approach": approach,
     "stand": stand,
+    "short_step_cost": short_step_cost,
 } | MOTION_COSTS
 """Terms of the tasks that send robots to places."""
 EXPLORATION_REWARDS = ("exploration", "approach")

@@ -32,8 +32,12 @@ class State:
     """(n, joints) change of joint_vel over the policy step [rad/s^2]."""
     joint_torque: Tensor
     """(n, joints) at the last physics step [N m]."""
+    foot_vel_w: Tensor
+    """(n, feet, 3) [m/s]."""
     foot_acc_w: Tensor
     """(n, feet, 3) change of foot velocity over the policy step [m/s^2]."""
+    foot_landed_s: Tensor
+    """(n, feet) how long each foot that has just landed had been in the air, 0 for the others [s]."""
     action: Tensor
     """(n, joints) the action just applied, in units of the action scale."""
     previous_action: Tensor

@@ -93,8 +93,15 @@ class Task(Protocol):
     def destination_w(self) -> Tensor:
         """(num_envs, 3) where the commands lead [m], to be drawn in pictures."""
 
-    def task_share(self, state: State) -> tuple[Tensor, Tensor]:
-        """(num_envs,) the task reward over its maximum, and (num_envs,) bool whether it is being paid."""
+    def task_share(self, state: State, failed: Tensor) -> tuple[Tensor, Tensor]:
+        """The task reward over its maximum, and how many samples inside the reward window that stands for.
+
+        Args:
+            failed: (num_envs,) bool: the episode ends here before its time; what it misses of the window counts as 0.
+
+        Returns:
+            (num_envs,) share and (num_envs,) number of samples, 0 where nothing is being paid.
+        """
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
         """How every episode stands."""

@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from arrive.config import Config, TaskConfig
-from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.observations import ObservationTerm, around_command
-from arrive.task.rewards import CRASH_COST, MOTION_COSTS, STALL_SPEED, RewardFunction
+from arrive.task.rewards import AIR_TIME_S, CRASH_COST, MOTION_COSTS, STALL_SPEED, RewardFunction
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
 from arrive.task.task import Outcome, Start, Trial
@@ -36,8 +35,6 @@ HEADING_GAIN = 0.5
 """Yaw rate asked for per heading error [1/s]."""
 TRACKING_WIDTH = 0.25
 """The tracking rewards are exp(-error^2 / this); error in m/s and rad/s."""
-AIR_TIME_S = 0.5
-"""A step shorter than this costs, a longer one earns [s]."""
 WALK_TO_RISE = 4.0
 """Who ends farther than this from the start goes up a level: half of legged_gym's tile of 8 m [m]."""
 TILE_END = RASTER_HALF - 1.0
@@ -54,7 +51,7 @@ PROPORTIONS = {
 
 @dataclass
 class VelocityCommand:
-    """How fast to walk, which way to face, and what the air-time reward must remember of the feet."""
+    """How fast to walk and which way to face."""
 
     speed: Tensor
     """(n,) along the base's x axis, negative backwards [m/s]."""
@@ -70,12 +67,6 @@ class VelocityCommand:
     """(n,) largest progress along the world's x axis in this episode [m]."""
     outside: Tensor
     """(n,) bool: the robot has left its tile."""
-    in_air_s: Tensor
-    """(n, feet) time since each foot left the ground [s]."""
-    touched: Tensor
-    """(n, feet) bool: it touched the ground a step ago."""
-    landed_s: Tensor
-    """(n, feet) how long each foot that has just landed had been in the air, 0 for the others [s]."""
 
 
 def yaw_rate(state: State, command: VelocityCommand) -> Tensor:
@@ -101,8 +92,8 @@ def air_time(state: State, command: VelocityCommand, config: TaskConfig) -> Tens
 
     As in legged_gym it is an event, yet multiplied by the time step like a rate.
     """
-    landed = command.landed_s > 0
-    return ((command.landed_s - AIR_TIME_S) * landed).sum(-1) * (command.speed.abs() > 0.1)
+    landed = state.foot_landed_s
+    return ((landed - AIR_TIME_S) * (landed > 0)).sum(-1) * (command.speed.abs() > 0.1)
 
 
 def vertical_speed_cost(state: State, command: VelocityCommand, config: TaskConfig) -> Tensor:
@@ -129,9 +120,8 @@ class VelocityTask:
     def __init__(self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None):
         """Build the task with no commands yet."""
         self._config, self._observation, self._trial = config.task, config.observation, trial
-        self._generator, self._control_dt = generator, config.physics.control_dt
+        self._generator = generator
         n, device = config.num_envs, rasters.heights.device
-        feet = len(get_robot(config.robot).foot_sites)
         self._command = VelocityCommand(
             speed=torch.zeros(n, device=device),
             heading=torch.zeros(n, device=device),
@@ -140,9 +130,6 @@ class VelocityTask:
             start_w=torch.zeros(n, 3, device=device),
             farthest_x=torch.zeros(n, device=device),
             outside=torch.zeros(n, dtype=torch.bool, device=device),
-            in_air_s=torch.zeros(n, feet, device=device),
-            touched=torch.zeros(n, feet, dtype=torch.bool, device=device),
-            landed_s=torch.zeros(n, feet, device=device),
         )
 
     @staticmethod
@@ -190,7 +177,7 @@ class VelocityTask:
     def new_command(self, start: Start, first: bool) -> None:
         command, ids = self._command, start.env_ids
         command.start_w[ids] = start.base_pos_w
-        for name in ("farthest_x", "in_air_s", "landed_s", "touched", "outside"):
+        for name in ("farthest_x", "outside"):
             getattr(command, name)[ids] = 0
         command.time_left_s[ids] = self.episode_s
         if first:
@@ -217,12 +204,6 @@ class VelocityTask:
         offset = state.base_pos_w - command.start_w
         command.farthest_x = torch.maximum(command.farthest_x, offset[:, 0])
         command.outside = (state.base_pos_w[:, :2].abs() > TILE_END).any(-1)
-        touches = state.foot_contacts > 0
-        # A contact that is lost for one step does not end a stance (legged_gym).
-        stands = touches | command.touched
-        command.landed_s = torch.where(stands & (command.in_air_s > 0), command.in_air_s + self._control_dt, 0.0)
-        command.in_air_s = torch.where(stands, 0.0, command.in_air_s + self._control_dt)
-        command.touched = touches
 
     def advance(self, dt: float) -> Tensor:
         command = self._command
@@ -263,9 +244,9 @@ class VelocityTask:
             remaining=remaining,
         )
 
-    def task_share(self, state: State) -> tuple[Tensor, Tensor]:
+    def task_share(self, state: State, failed: Tensor) -> tuple[Tensor, Tensor]:
         share = track_speed(state, self._command, self._config)
-        return share, torch.ones_like(share, dtype=torch.bool)
+        return share, torch.ones_like(share)
 
     def state_dict(self) -> dict[str, Tensor]:
         return {name: value.clone() for name, value in vars(self._command).items()}

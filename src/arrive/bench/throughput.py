@@ -1,0 +1,178 @@
+"""How fast this machine simulates, collects and learns."""
+
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median, quantiles
+from typing import Any
+
+import numpy as np
+import torch
+from mujoco.batch import Batch
+
+from arrive.build import build_env
+from arrive.config import Config
+from arrive.env import ArriveEnv
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.logs import RunLog
+from arrive.learning.trainer import Trainer
+from arrive.physics.cpu import STATE_FIELDS, CpuPhysics
+
+RATES = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
+"""What is measured, each in policy steps or samples per second."""
+
+Progress = Callable[[int, int], None]
+
+
+class RawEngine:
+    """`mujoco.batch` alone, fed with the models, states and actions that an environment's physics is about to step."""
+
+    def __init__(self, physics: CpuPhysics, decimation: int, threads: int):
+        self._physics, self._decimation = physics, decimation
+        self._batch = Batch(physics.model_of_env(0), physics.num_envs, threads)
+        self._views = {name: self._batch.bind(name) for name in STATE_FIELDS}
+
+    def load(self, joint_targets: np.ndarray) -> None:
+        """Take over models and states; `joint_targets` is (num_envs, joints) [rad]."""
+        self._batch.set_models([self._physics.model_of_env(i) for i in range(self._physics.num_envs)])
+        for name, value in self._physics.state_dict().items():
+            if name in self._views:
+                self._views[name][:] = value.numpy()
+        self._views["ctrl"][:] = joint_targets
+
+    def step(self) -> None:
+        """One policy step of every environment."""
+        self._batch.step(None, nstep=self._decimation)
+
+
+def bench_throughput(
+    config: Config,
+    threads: int,
+    rounds: int,
+    start_from: Path | None = None,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Any]:
+    """Measure every rate once per round, one after the other, so that what disturbs the machine disturbs all.
+
+    A round is an iteration's steps of the environment and of the raw engine from the same states, an iteration taken
+    apart into collection and update, and a whole one with its log. Actions are the policy's, with exploration noise.
+
+    Args:
+        config: as for training.
+        threads: of physics and of torch.
+        rounds: repetitions, after one that warms up.
+        start_from: run whose networks act; fresh ones let the robots fall.
+
+    Returns:
+        medians by the names in `RATES`, their quartiles, and what was measured, as JSON data.
+    """
+    before = _memory_kib()
+    env = build_env(config, threads=threads)
+    with tempfile.TemporaryDirectory() as folder:
+        trainer = Trainer(config, env, Path(folder))
+        if start_from is not None:
+            trainer.warm_start(start_from / CHECKPOINT_NAME)
+        bench = _Bench(trainer, env, RunLog(Path(folder)), threads)
+        bench.round()
+        bench.clear()
+        memory = (_memory_kib() - before) / config.num_envs
+        for done in range(rounds):
+            bench.round()
+            progress(done + 1, rounds)
+    rates = {name: median(values) for name, values in bench.rates.items()}
+    return {
+        **rates,
+        "env_over_engine": median(bench.ratios),
+        "quartiles": {name: _quartiles(values) for name, values in bench.rates.items()},
+        "share": _shares(rates),
+        "memory_per_env_kib": memory,
+        "num_envs": config.num_envs,
+        "num_steps": config.ppo.num_steps,
+        "threads": threads,
+        "networks": list(config.ppo.hidden),
+        "precision": config.ppo.precision,
+        "terrain": list(config.terrain.families),
+        "rounds": rounds,
+        "device": str(env.device),
+    }
+
+
+class _Bench:
+    """The rounds of one measurement."""
+
+    def __init__(self, trainer: Trainer, env: ArriveEnv, log: RunLog, threads: int):
+        self._trainer, self._env, self._log = trainer, env, log
+        self._steps = trainer.config.ppo.num_steps
+        self._samples = env.num_envs * self._steps
+        self._engine = RawEngine(env.physics, trainer.config.physics.decimation, threads)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget what was measured."""
+        self.rates: dict[str, list[float]] = {name: [] for name in RATES}
+        self.ratios: list[float] = []
+
+    def round(self) -> None:
+        """Measure everything once."""
+        engine_s, env_s = self._simulate()
+        self._note("engine", engine_s)
+        self._note("env", env_s)
+        self.ratios.append(engine_s / env_s)
+        self._note("collect", _seconds(self._trainer.collect))
+        self._note("update_samples_per_s", _seconds(self._trainer.learn))
+        self._note("train_samples_per_s", _seconds(self._iterate))
+
+    def _note(self, name: str, seconds: float) -> None:
+        self.rates[name].append(self._samples / seconds)
+
+    def _iterate(self) -> None:
+        self._trainer.iterate(self._log.write)
+
+    @torch.inference_mode()
+    def _simulate(self) -> tuple[float, float]:
+        """Seconds that the raw engine and the environment took for the same steps."""
+        env, engine_s, env_s = self._env, 0.0, 0.0
+        actor = self._trainer.algorithm.get_policy()
+        observations = env.get_observations()
+        for _ in range(self._steps):
+            actions = actor(observations, stochastic_output=True)
+            self._engine.load(env.joint_targets(actions).numpy())
+            engine_s += _seconds(self._engine.step)
+            start = time.perf_counter()
+            observations = env.step(actions)[0]
+            env_s += time.perf_counter() - start
+        self._trainer.look()
+        return engine_s, env_s
+
+
+def _seconds(action: Callable[[], Any]) -> float:
+    start = time.perf_counter()
+    action()
+    return time.perf_counter() - start
+
+
+def _quartiles(values: list[float]) -> list[float]:
+    """The lower and the upper one."""
+    return [min(values), max(values)] if len(values) < 2 else quantiles(values, n=4)[::2]
+
+
+def _shares(rates: dict[str, float]) -> dict[str, float]:
+    """Share of an iteration's time that physics, the rest of the environment, acting, and learning take."""
+    per_sample = {name: 1.0 / rates[name] for name in RATES}
+    parts = {
+        "physics": per_sample["engine"],
+        "environment": per_sample["env"] - per_sample["engine"],
+        "acting": per_sample["collect"] - per_sample["env"],
+        "learning": per_sample["update_samples_per_s"],
+    }
+    whole = sum(parts.values())
+    return {name: part / whole for name, part in parts.items()}
+
+
+def _memory_kib() -> float:
+    """The most memory this process has held [KiB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1024 if sys.platform == "darwin" else float(peak)

@@ -1,0 +1,63 @@
+"""`arrive bench`: how fast this machine simulates, collects and learns."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from arrive.bench.throughput import RATES, bench_throughput
+from arrive.commands.threads import use_threads
+from arrive.commands.training import fresh_config
+from arrive.errors import ArriveError
+
+if TYPE_CHECKING:
+    from arrive.cli import Bench
+
+LABELS = {
+    "engine": "mujoco.batch alone",
+    "env": "environment",
+    "collect": "collection with the policy",
+    "update_samples_per_s": "PPO update",
+    "train_samples_per_s": "training, end to end",
+}
+
+
+def bench(command: Bench) -> None:
+    """Measure and print; write the JSON file where one is named."""
+    if command.rounds < 1:
+        raise ArriveError(f"--rounds must be at least 1, not {command.rounds}")
+    threads = use_threads(command.threads)
+    config = fresh_config(command.terrain, command.preset, command.task, command.num_envs, None, command.set)
+    with Progress(transient=True) as bar:
+        rounds = bar.add_task("measuring", total=None)
+        result = bench_throughput(
+            config,
+            threads,
+            command.rounds,
+            command.start_from,
+            lambda done, total: bar.update(rounds, completed=done, total=total),
+        )
+    _print(result)
+    if command.json is not None:
+        command.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def _print(result: dict[str, Any]) -> None:
+    table = Table(
+        title=f"{result['num_envs']} environments x {result['num_steps']} steps, {result['threads']} threads, "
+        f"networks {'-'.join(map(str, result['networks']))} in {result['precision']}, median of {result['rounds']}"
+    )
+    for title in ("samples/s", "median", "quartiles"):
+        table.add_column(title, justify="left" if title == "samples/s" else "right")
+    for name in RATES:
+        low, high = result["quartiles"][name]
+        table.add_row(LABELS[name], f"{result[name]:,.0f}", f"{low:,.0f} to {high:,.0f}")
+    console = Console()
+    console.print(table)
+    shares = ", ".join(f"{name} {share:.0%}" for name, share in result["share"].items())
+    console.print(f"environment over engine {result['env_over_engine']:.3f}; time: {shares}")
+    console.print(f"memory {result['memory_per_env_kib']:,.0f} KiB per environment")
