@@ -46,8 +46,8 @@ def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     """Write the solver settings into a spec.
 
     The Jacobian stays dense: a robot has 18 degrees of freedom, and MuJoCo 4.0.0 factorises wrongly where the
-    constraint Jacobian is sparse. A diverged simulation is not silently put back to its start: the environment must
-    see it.
+    constraint Jacobian is sparse. Searching for islands is left out: a robot is one. A diverged simulation is not
+    silently put back to its start: the environment must see it.
     """
     option = spec.option
     option.timestep = config.timestep_s
@@ -58,7 +58,7 @@ def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     option.iterations = config.solver_iterations
     option.ls_iterations = config.line_search_iterations
     option.tolerance = config.solver_tolerance
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     for geom in spec.geoms:
         geom.solref[0] = config.contact_time_s
         geom.solimp[:2] = config.contact_impedance

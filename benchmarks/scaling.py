@@ -1,0 +1,61 @@
+"""How throughput grows with environments and threads.
+
+    python benchmarks/scaling.py [--num-envs 256 512 1024 2048 4096] [--threads 1 2] [--rounds 5] [--out scaling.json]
+
+Every size is measured by `arrive bench` in a process of its own, one after the other.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass
+class Arguments:
+    """What to measure."""
+
+    terrain: tyro.conf.Positional[str] = "flat"
+    num_envs: tuple[int, ...] = (256, 512, 1024, 2048, 4096)
+    threads: tuple[int, ...] = (1, 2)
+    rounds: int = 5
+    start_from: Path | None = None
+    out: Path = Path("scaling.json")
+
+
+def measure(arguments: Arguments, num_envs: int, threads: int) -> dict:
+    """One call of `arrive bench`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.json"
+        command = [sys.executable, "-m", "arrive.cli", "bench", arguments.terrain, "--num-envs", str(num_envs)]
+        command += ["--threads", str(threads), "--rounds", str(arguments.rounds), "--json", str(path)]
+        if arguments.start_from is not None:
+            command += ["--start-from", str(arguments.start_from)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return json.loads(path.read_text())
+
+
+def main(arguments: Arguments) -> None:
+    """Print a table in Markdown and keep the figures."""
+    results = []
+    print("| environments | threads | engine | environment | over engine | collection | update | training |")
+    print("|---|---|---|---|---|---|---|---|")
+    for num_envs in arguments.num_envs:
+        for threads in arguments.threads:
+            result = measure(arguments, num_envs, threads)
+            results.append(result)
+            rates = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
+            engine, env, collect, update, train = (f"{result[name]:,.0f}" for name in rates)
+            ratio = f"{result['env_over_engine']:.2f}"
+            print(
+                f"| {num_envs} | {threads} | {engine} | {env} | {ratio} | {collect} | {update} | {train} |", flush=True
+            )
+            arguments.out.write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
