@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 
@@ -253,6 +254,16 @@ def test_a_policy_file_acts_as_the_network_that_was_saved(run):
     with torch.inference_mode():
         expected = trainer.algorithm.actor(observations)
     assert torch.equal(load_policy(run).act(observations["policy"]), expected)
+
+
+def test_a_checkpoint_of_another_version_is_not_resumed(run, tmp_path):
+    folder = tmp_path / "older"
+    shutil.copytree(run, folder)
+    content = torch.load(folder / CHECKPOINT_NAME, weights_only=True)
+    del content["state"]["env"]["exploration"]["sums"]
+    torch.save(content, folder / CHECKPOINT_NAME)
+    with pytest.raises(ArriveError, match="another version of arrive.*--start-from"):
+        trainer_in(folder).load()
 
 
 def test_a_folder_that_holds_a_run_is_not_overwritten(run):

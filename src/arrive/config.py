@@ -30,6 +30,8 @@ class ObservationConfig:
     """Joint velocities [rad/s]."""
     noise_heights: float = 0.1
     """Height samples [m]."""
+    height_scale: float = 5.0
+    """The policy receives height samples times this [1/m]."""
     grid_length: float = 1.6
     """Extent of the height grid along the heading [m]."""
     grid_width: float = 1.0

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from arrive.config import Config, PPOConfig, TaskConfig
+from arrive.config import Config, ObservationConfig, PPOConfig, TaskConfig
 from arrive.errors import unknown_name
 
 PAPER_REWARDS = {
@@ -34,6 +34,7 @@ def robust() -> Config:
     return Config(
         preset="robust",
         num_envs=512,
+        observation=ObservationConfig(height_scale=1.0),
         task=TaskConfig(
             episode_min_s=4.0,
             reward_window_s=2.0,

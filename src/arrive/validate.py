@@ -42,7 +42,7 @@ def _positive(config: Config) -> Iterator[tuple[str, object, str, bool]]:
         "": ("num_envs",),
         "physics": ("timestep_s", "decimation", "solver_iterations", "line_search_iterations", "impratio"),
         "terrain": ("levels", "variants"),
-        "observation": ("grid_step", "grid_length", "grid_width"),
+        "observation": ("height_scale", "grid_step", "grid_length", "grid_width"),
         "task": ("episode_s", "episode_min_s", "reward_window_s", "arrival_radius", "approach_speed"),
         "ppo": ("num_steps", "epochs", "mini_batches", "learning_rate", "init_std", "clip", "max_grad_norm"),
     }

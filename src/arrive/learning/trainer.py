@@ -241,7 +241,13 @@ class Trainer:
             raise ArriveError(f"{path} is a policy, not a training checkpoint; it cannot be resumed")
         if from_dict(Config, content["config"]) != self.config:  # fields that are newer than the file have defaults
             raise ArriveError(f"{path} was made with another configuration than {self.folder}/config.json")
-        self._restore(content["state"])
+        try:
+            self._restore(content["state"])
+        except (KeyError, RuntimeError) as error:
+            raise ArriveError(
+                f"{path} was written by another version of arrive and cannot be resumed; "
+                f"begin a new run with its networks: --start-from {self.folder}. ({error!r})"
+            ) from error
         self._good = self._snapshot()
 
     def warm_start(self, path: Path) -> None:

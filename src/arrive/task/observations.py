@@ -90,8 +90,8 @@ def around_command(
         ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, mirror_joints,
                         lambda s, c: s.joint_vel),
         ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, mirror_joints, lambda s, c: s.action),
-        ObservationTerm("heights", "m", "heading, 0.5 m below the base, positive down", cells, 5.0,
-                        config.noise_heights, mirror_cells, relative_heights),
+        ObservationTerm("heights", "m", "heading, 0.5 m below the base, positive down", cells,
+                        config.height_scale, config.noise_heights, mirror_cells, relative_heights),
     )  # fmt: skip
 
 
