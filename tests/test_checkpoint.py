@@ -262,7 +262,7 @@ def test_a_checkpoint_of_another_version_is_not_resumed(run, tmp_path):
     content = torch.load(folder / CHECKPOINT_NAME, weights_only=True)
     del content["state"]["env"]["exploration"]["sums"]
     torch.save(content, folder / CHECKPOINT_NAME)
-    with pytest.raises(ArriveError, match="another version of arrive.*--start-from"):
+    with pytest.raises(ArriveError, match=r"another version of arrive.*--start-from"):
         trainer_in(folder).load()
 
 
