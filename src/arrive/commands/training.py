@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ from rich.progress import Progress
 
 from arrive.build import build_env
 from arrive.commands.threads import use_threads
-from arrive.config import Config, override
+from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.curves import plot_curves
@@ -19,15 +18,12 @@ from arrive.learning.display import TrainingDisplay
 from arrive.learning.logs import RunLog
 from arrive.learning.rundir import new_run_folder, read_config, write_config
 from arrive.learning.trainer import Trainer
-from arrive.presets import get_preset
-from arrive.task.registry import get_task
+from arrive.recipe import make_config
 from arrive.terrain import parse_families
-from arrive.validate import validate
 
 if TYPE_CHECKING:
     from arrive.cli import Train
 
-DEFAULT_PRESET = "robust"
 DEFAULT_MINUTES = 40.0
 """Training budget where none is given [min]."""
 
@@ -73,19 +69,8 @@ def _budget(command: Train) -> tuple[float | None, int | None]:
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:
-    config = get_preset(command.preset or DEFAULT_PRESET)
-    names = tuple(family.name for family in parse_families(command.terrain))
-    task = command.task or config.task.name
-    changes: dict = {
-        "terrain": dataclasses.replace(config.terrain, families=names),
-        "seed": 1 if command.seed is None else command.seed,
-        "task": dataclasses.replace(config.task, name=task),
-    }
-    if command.num_envs is not None:
-        changes["num_envs"] = command.num_envs
-    config = get_task(task).configure(dataclasses.replace(config, **changes))
-    config = override(config, command.set)
-    validate(config)
+    families = parse_families(command.terrain)
+    config = make_config(families, command.preset, command.task, command.num_envs, command.seed, command.set)
     return config, new_run_folder(config, command.out)
 
 
