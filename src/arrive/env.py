@@ -138,6 +138,11 @@ class ArriveEnv(VecEnv):
         """(num_envs,) index into the pool's tiles of the tile each robot stands on."""
         return self._buffers["tile"]
 
+    @property
+    def retired(self) -> Tensor:
+        """(num_envs,) bool: robots that were taken out of the simulation."""
+        return self._buffers["retired"]
+
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
         """Advance every robot by one policy step; robots whose episode ended start the next one.
 
