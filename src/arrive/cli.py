@@ -1,4 +1,4 @@
-"""The command line: `arrive train | eval | report | export | verify | bench | list`."""
+"""The command line: `arrive train | eval | report | drive | export | verify | bench | list`."""
 
 import sys
 from dataclasses import dataclass, field
@@ -81,6 +81,26 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
+
+    policy: tyro.conf.Positional[str | None] = field(default=None)
+    """Run folder, policy file, exported file or name of a shipped policy; a shipped one by default."""
+    terrain: str = "flat"
+    """Terrain family."""
+    level: int = 0
+    """Its level."""
+    seconds: float | None = None
+    """How long; to the end of the script, or until Ctrl-C with a gamepad, by default [s]."""
+    script: Path | None = None
+    """CSV file with the columns time_s, forward, left, heading_rad to drive by, as fast as the machine can."""
+    log: Path | None = None
+    """File (.npz) for all inputs and commands of the controller, which can be replayed."""
+    seed: int = 1
+    """Seed of random terrain."""
+
+
+@dataclass(frozen=True)
 class Export:
     """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
 
@@ -134,6 +154,7 @@ Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Drive, tyro.conf.subcommand("drive")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -151,6 +172,7 @@ def main(arguments: list[str] | None = None) -> None:
         Train: commands.train,
         Eval: commands.evaluate,
         Report: commands.report,
+        Drive: commands.drive,
         Export: commands.export,
         Verify: commands.verify_file,
         Bench: commands.bench,

@@ -40,6 +40,8 @@ class Finished:
     distance: Tensor
     """How much of the way was left at the end [m]."""
     failures: dict[str, Tensor]
+    observation: Tensor | None = None
+    """(ended, size) the last observation of each, where `ArriveEnv.final_observations` asks for it."""
 
 
 @dataclass
@@ -83,7 +85,9 @@ class ArriveEnv(VecEnv):
         self.max_episode_length = round(task.episode_s / self.control_dt)
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
         self._generator = generator
-        self._learning = learning = assignment is None
+        self._assignment, self._learning = assignment, assignment is None
+        self.final_observations = False
+        """Whether to take down the last observation of every episode, which costs a second look at all robots."""
         self._terms = _weighted_terms(task, config.task.rewards)
         self._grid = HeightGrid(config.observation).points.to(self.device)
         self.observer = Observer(task.observation_terms(robot), config.observation.noise, self.device)
@@ -91,15 +95,30 @@ class ArriveEnv(VecEnv):
         self._down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
         dealt = torch.arange(self.num_envs, device=self.device) % len(pool.families)
         self.family_of_env = dealt if assignment is None else assignment[0]
-        num_levels = torch.tensor(pool.num_levels, device=self.device)[self.family_of_env]
-        self.curriculum = LevelCurriculum(num_levels, config.terrain.start_level, generator)
-        if assignment is not None:
-            self.curriculum.levels = assignment[1]
-        self.exploration = ExplorationSwitch(config.task, self.family_of_env)
         self.log = StepLog()
         self._allocate()
-        self._reset(torch.arange(self.num_envs, device=self.device), first=learning)
+        self._start_curriculum()
+        self.restart()
+
+    def restart(self, seed: int | None = None) -> None:
+        """Start every robot's first episode again.
+
+        Args:
+            seed: the generator starts from it, and levels and exploration reward as in a new environment; None goes
+                on from where they are.
+        """
+        if seed is not None:
+            self._generator.manual_seed(seed)
+            self._start_curriculum()
+        self._reset(torch.arange(self.num_envs, device=self.device), first=self._learning)
         self._read()
+
+    def _start_curriculum(self) -> None:
+        num_levels = torch.tensor(self.pool.num_levels, device=self.device)[self.family_of_env]
+        self.curriculum = LevelCurriculum(num_levels, self.config.terrain.start_level, self._generator)
+        if self._assignment is not None:
+            self.curriculum.levels = self._assignment[1]
+        self.exploration = ExplorationSwitch(self.config.task, self.family_of_env)
 
     def _allocate(self) -> None:
         n, joints, feet = self.num_envs, self.num_actions, len(self.robot.foot_sites)
@@ -122,6 +141,11 @@ class ArriveEnv(VecEnv):
     def tile_of_env(self) -> Tensor:
         """(num_envs,) index into the pool's tiles of the tile each robot stands on."""
         return self._buffers["tile"]
+
+    @property
+    def retired(self) -> Tensor:
+        """(num_envs,) bool: robots that were taken out of the simulation."""
+        return self._buffers["retired"]
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
         """Advance every robot by one policy step; robots whose episode ended start the next one.
@@ -147,8 +171,10 @@ class ArriveEnv(VecEnv):
 
     def get_observations(self) -> TensorDict:
         """The current observations, with fresh noise."""
-        observation = self.observer.observe(self.state, self.task.command, self._generator)
-        return TensorDict({POLICY: observation}, batch_size=[self.num_envs], device=self.device)
+        return TensorDict({POLICY: self._observe()}, batch_size=[self.num_envs], device=self.device)
+
+    def _observe(self) -> Tensor:
+        return self.observer.observe(self.state, self.task.command, self._generator)
 
     def joint_targets(self, actions: Tensor) -> Tensor:
         """What actions mean: (num_envs, joints) [rad]."""
@@ -269,6 +295,7 @@ class ArriveEnv(VecEnv):
             levels=self.curriculum.levels[ids],
             distance=outcome.remaining[ids],
             failures={cause: mask[ids] for cause, mask in outcome.failures.items()},
+            observation=self._observe()[ids] if self.final_observations else None,
         )
         if self._learning:
             fair = self._ended & self._finite & ~self._buffers["shortened"]

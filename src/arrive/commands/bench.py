@@ -11,8 +11,9 @@ from rich.table import Table
 
 from arrive.bench.throughput import RATES, bench_throughput
 from arrive.commands.threads import use_threads
-from arrive.commands.training import fresh_config
 from arrive.errors import ArriveError
+from arrive.recipe import make_config
+from arrive.terrain import parse_families
 
 if TYPE_CHECKING:
     from arrive.cli import Bench
@@ -31,7 +32,8 @@ def bench(command: Bench) -> None:
     if command.rounds < 1:
         raise ArriveError(f"--rounds must be at least 1, not {command.rounds}")
     threads = use_threads(command.threads)
-    config = fresh_config(command.terrain, command.preset, command.task, command.num_envs, None, command.set)
+    families = parse_families(command.terrain)
+    config = make_config(families, command.preset, command.task, command.num_envs, overrides=command.set)
     with Progress(transient=True) as bar:
         rounds = bar.add_task("measuring", total=None)
         result = bench_throughput(

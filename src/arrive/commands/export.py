@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def export(command: Export) -> None:
     """Write a policy for a robot's computer."""
-    _need_onnxruntime()
+    need_onnxruntime()
     from arrive.deployment.export import export_policy
 
     policy = load_policy(command.policy)
@@ -24,7 +24,7 @@ def export(command: Export) -> None:
 
 def verify_file(command: Verify) -> None:
     """Check an exported policy and say what it is."""
-    _need_onnxruntime()
+    need_onnxruntime()
     from arrive.deployment.verify import verify
 
     file = verify(command.file)
@@ -35,6 +35,7 @@ def verify_file(command: Verify) -> None:
     )
 
 
-def _need_onnxruntime() -> None:
+def need_onnxruntime() -> None:
+    """Say how to install what runs exported policies, where it is missing."""
     if importlib.util.find_spec("onnxruntime") is None:
         raise ArriveError("this needs onnxruntime: pip install 'arrive[deploy]'")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,24 +10,20 @@ from rich.progress import Progress
 
 from arrive.build import build_env
 from arrive.commands.threads import use_threads
-from arrive.config import Config, override
+from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay
 from arrive.learning.logs import RunLog
-from arrive.learning.networks import choose_precision
 from arrive.learning.rundir import new_run_folder, read_config, write_config
 from arrive.learning.trainer import Trainer
-from arrive.presets import get_preset
-from arrive.task.registry import get_task
+from arrive.recipe import make_config
 from arrive.terrain import parse_families
-from arrive.validate import validate
 
 if TYPE_CHECKING:
     from arrive.cli import Train
 
-DEFAULT_PRESET = "robust"
 DEFAULT_MINUTES = 40.0
 """Training budget where none is given [min]."""
 
@@ -74,39 +69,9 @@ def _budget(command: Train) -> tuple[float | None, int | None]:
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:
-    config = fresh_config(command.terrain, command.preset, command.task, command.num_envs, command.seed, command.set)
+    families = parse_families(command.terrain)
+    config = make_config(families, command.preset, command.task, command.num_envs, command.seed, command.set)
     return config, new_run_folder(config, command.out)
-
-
-def fresh_config(
-    terrain: str,
-    preset: str | None = None,
-    task: str | None = None,
-    num_envs: int | None = None,
-    seed: int | None = None,
-    changes: tuple[str, ...] = (),
-) -> Config:
-    """The configuration of a new run from what a command line says; None stands for the preset's own.
-
-    Raises:
-        ArriveError: a name is unknown or a value out of range.
-    """
-    config = get_preset(preset or DEFAULT_PRESET)
-    names = tuple(family.name for family in parse_families(terrain))
-    task = task or config.task.name
-    config = dataclasses.replace(
-        config,
-        terrain=dataclasses.replace(config.terrain, families=names),
-        seed=1 if seed is None else seed,
-        task=dataclasses.replace(config.task, name=task),
-        num_envs=config.num_envs if num_envs is None else num_envs,
-    )
-    config = override(get_task(task).configure(config), changes)
-    # Chosen once, so that a run keeps it wherever it goes on.
-    ppo = dataclasses.replace(config.ppo, precision=choose_precision(config.ppo.precision))
-    config = dataclasses.replace(config, ppo=ppo)
-    validate(config)
-    return config
 
 
 def _resumed(command: Train) -> tuple[Config, Path]:

@@ -90,6 +90,44 @@ def _set(goal: Any, **values: Any) -> None:
         object.__setattr__(goal, name, value)
 
 
+def hold_time(task: TaskSpec) -> float:
+    """Remaining time that a policy at its target is told: the reward window, half an episode at most [s]."""
+    return min(task.reward_window_s, 0.5 * task.episode_s)
+
+
+def walking_speeds(task: TaskSpec) -> tuple[float, float]:
+    """Slowest and fastest pseudo velocity [m/s]."""
+    slowest = JOYSTICK_DISTANCE / task.episode_s
+    return slowest, max(slowest, JOYSTICK_DISTANCE / FASTEST_S)
+
+
+def stick_pace(task: TaskSpec, magnitude: float) -> tuple[float, float]:
+    """Distance [m] and remaining time [s]; 3 m / time grows linearly from the slowest to the fastest walk.
+
+    A continuous policy hurries whatever the time is; its distance is 3 m times the magnitude instead.
+    """
+    if task.name == "continuous":
+        return JOYSTICK_DISTANCE * magnitude, hold_time(task)
+    slowest, fastest = walking_speeds(task)
+    speed = slowest + (fastest - slowest) * (magnitude - DEAD_ZONE) / (1.0 - DEAD_ZONE)
+    return JOYSTICK_DISTANCE, JOYSTICK_DISTANCE / speed
+
+
+def stick_magnitude(stick: Joystick) -> float:
+    """0 to 1; inside the dead zone 0."""
+    magnitude = min(1.0, math.hypot(stick.forward, stick.left))
+    return 0.0 if magnitude < DEAD_ZONE else magnitude
+
+
+def stick_speed(task: TaskSpec, stick: Joystick) -> float:
+    """Pseudo velocity that a stick asks for: distance over remaining time, 0 inside the dead zone [m/s]."""
+    magnitude = stick_magnitude(stick)
+    if not magnitude:
+        return 0.0
+    distance, left = stick_pace(task, magnitude)
+    return distance / left
+
+
 class Order(NamedTuple):
     """The command of one step."""
 
@@ -111,7 +149,7 @@ class Navigator:
     def __init__(self, task: TaskSpec):
         """Start without a goal."""
         self._task = task
-        self._hold_s = min(task.reward_window_s, 0.5 * task.episode_s)
+        self._hold_s = hold_time(task)
         self._reach = task.target_distance_m[1]
         self.reset()
 
@@ -167,28 +205,17 @@ class Navigator:
         heading = yaw if stick.heading_rad is None else stick.heading_rad
         if not all(map(math.isfinite, (stick.forward, stick.left, heading))):
             raise BadInput("the joystick is not finite")
-        magnitude = min(1.0, math.hypot(stick.forward, stick.left))
+        magnitude = stick_magnitude(stick)
         height = ground + self._task.target_height_m
-        if magnitude < DEAD_ZONE:
+        if not magnitude:
             if self._anchor is None:
                 self._anchor = np.array([pos[0], pos[1], height])
             return Order(self._anchor, self._hold_s, "stop", "")
         self.release()
         angle = heading + math.atan2(stick.left, stick.forward)
-        distance, left = self._pace(magnitude)
+        distance, left = stick_pace(self._task, magnitude)
         target = np.array([pos[0] + distance * math.cos(angle), pos[1] + distance * math.sin(angle), height])
         return Order(target, left, "joystick", "")
-
-    def _pace(self, magnitude: float) -> tuple[float, float]:
-        """Distance [m] and remaining time [s]; 3 m / time grows linearly from the slowest to the fastest walk.
-
-        A continuous policy hurries whatever the time is; its distance is 3 m times the magnitude instead.
-        """
-        if self._task.name == "continuous":
-            return JOYSTICK_DISTANCE * magnitude, self._hold_s
-        slowest, fastest = self._speeds()
-        speed = slowest + (fastest - slowest) * (magnitude - DEAD_ZONE) / (1.0 - DEAD_ZONE)
-        return JOYSTICK_DISTANCE, JOYSTICK_DISTANCE / speed
 
     def _follow(self, path: WayPoints, pos: np.ndarray, now_s: float) -> Order:
         """Points before the last only give the direction of a pseudo target, so that nothing asks for a stop there."""
@@ -219,13 +246,8 @@ class Navigator:
         return now_s + math.dist(path.points_w[-1], pos) / self._walk(path.speed)
 
     def _walk(self, speed: float) -> float:
-        slowest, fastest = self._speeds()
+        slowest, fastest = walking_speeds(self._task)
         return min(max(speed, slowest), fastest)
-
-    def _speeds(self) -> tuple[float, float]:
-        """Slowest and fastest pseudo velocity [m/s]."""
-        slowest = JOYSTICK_DISTANCE / self._task.episode_s
-        return slowest, max(slowest, JOYSTICK_DISTANCE / FASTEST_S)
 
     def _possible(self, time_left_s: float) -> float:
         return min(max(time_left_s, self._hold_s), self._task.episode_s)

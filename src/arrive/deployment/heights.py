@@ -76,9 +76,9 @@ class HeightGrid:
             pos: (3,) base position in the map's frame [m].
             yaw: heading [rad].
         """
-        cells = np.floor((self._in_world(pos, yaw) - origin) / resolution)
-        inside = ((cells >= 0) & (cells < heights.shape)).all(axis=1)
-        x, y = np.where(inside[:, None], cells, 0.0).astype(int).T
+        x, y = np.floor((self._in_world(pos, yaw) - origin) / resolution).T
+        inside = (x >= 0) & (x < heights.shape[0]) & (y >= 0) & (y < heights.shape[1])
+        x, y = (np.where(inside, cell, 0.0).astype(int) for cell in (x, y))
         return np.where(inside, heights[x, y], np.nan)
 
     def from_cloud(self, points: np.ndarray, pos: np.ndarray, yaw: float) -> np.ndarray:
@@ -119,7 +119,7 @@ class HeightGrid:
         filled[unseen] = candidates[np.arange(len(first)), first]
         blind = np.isnan(filled)
         filled[blind] = standing_on
-        return filled, 1.0 - float(blind.mean())
+        return filled, 1.0 - np.count_nonzero(blind) / len(blind)
 
     def _in_world(self, pos: np.ndarray, yaw: float) -> np.ndarray:
         cos, sin = math.cos(yaw), math.sin(yaw)

@@ -14,7 +14,7 @@ from arrive.config import Config, RandomisationConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.pictures import Episode
-from arrive.evaluation.playing import Played, Progress, episode, play
+from arrive.evaluation.playing import Pilot, Played, Progress, episode, play
 from arrive.evaluation.policy import Policy
 from arrive.evaluation.wilson import wilson_interval
 from arrive.task.task import Trial
@@ -128,6 +128,7 @@ def evaluate(
     threads: int = 0,
     progress: Progress = lambda done, total: None,
     setting: Setting = Setting(),
+    pilot: Callable[[ArriveEnv], Pilot] | None = None,
 ) -> Arrival:
     """Measure the success rate on terrain that the policy was not trained on.
 
@@ -137,6 +138,7 @@ def evaluate(
     Args:
         episodes: per cell.
         progress: told policy steps done so far and their number.
+        pilot: makes what acts for the robots of an environment in the policy's place.
 
     Raises:
         ArriveError: nothing to measure, or a policy of another robot or observation.
@@ -151,7 +153,8 @@ def evaluate(
         env = _environment(policy.config, cells, part, _part_seed(seed, index), threads, setting)
         policy.check(env)
         watched = _one_per_cell(part, pictures)
-        played.append(play(env, policy, watched, lambda i, n, index=index: progress(index * n + i, len(parts) * n)))
+        acting = policy if pilot is None else pilot(env)
+        played.append(play(env, acting, watched, lambda i, n, index=index: progress(index * n + i, len(parts) * n)))
         for column, env_id in enumerate(watched.tolist()):
             cell = int(part[env_id])
             pictures[cell] = episode(env, played[-1], column, cells[cell].caption)

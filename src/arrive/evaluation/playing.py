@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -9,10 +10,16 @@ from torch import Tensor
 
 from arrive.env import POLICY, ArriveEnv
 from arrive.evaluation.pictures import Episode
-from arrive.evaluation.policy import Policy
 from arrive.physics.world import compile_world
 
 Progress = Callable[[int, int], None]
+
+
+class Pilot(Protocol):
+    """What acts for the robots of an environment: a `Policy`, or something in its place."""
+
+    def act(self, observation: Tensor) -> Tensor:
+        """(num_envs, joints) actions for the present (num_envs, size) observations."""
 
 
 @dataclass
@@ -41,8 +48,8 @@ class Played:
     """(watched robots,) which robots were recorded."""
 
 
-def play(env: ArriveEnv, policy: Policy, watched: Tensor, progress: Progress = lambda done, total: None) -> Played:
-    """Let the policy act until every robot's first episode is over.
+def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lambda done, total: None) -> Played:
+    """Let the pilot act until every robot's first episode is over.
 
     Args:
         watched: robots whose poses are recorded.
@@ -64,7 +71,7 @@ def play(env: ArriveEnv, policy: Policy, watched: Tensor, progress: Progress = l
     waiting = torch.ones(n, dtype=torch.bool)
     observation, poses = env.get_observations()[POLICY], [_poses(env, watched)]
     for step in range(env.max_episode_length):
-        observation = env.step(policy.act(observation))[0][POLICY]
+        observation = env.step(pilot.act(observation))[0][POLICY]
         poses.append(_poses(env, watched))
         played.reached[waiting & env.log.success & (played.reached == 0)] = step + 1
         _note_ended(env, played, waiting, step + 1)

@@ -1,8 +1,6 @@
 """MuJoCo's batched simulation on CPU threads."""
 
-import ctypes
 from collections.abc import Sequence
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,25 +8,13 @@ import torch
 from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
+from arrive.physics.divergence import MAX_SPEED, silence_mujoco
 from arrive.physics.engine import Readings
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
 
 STATE_FIELDS = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")
 """The parts of MuJoCo's integration state that this model uses."""
-MAX_SPEED = 300.0
-"""Base or joint speed beyond which a simulation counts as diverged [m/s, rad/s]."""
-
-
-def _silence_mujoco() -> None:
-    """Keep MuJoCo from writing a log file and the terminal full when a simulation diverges; `read` reports it.
-
-    Its warning handler must be a C function, for worker threads call it without Python's lock; strlen takes the same
-    argument and does nothing.
-    """
-    library = ctypes.CDLL(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
-    handler = ctypes.c_void_p.in_dll(library, "mju_user_warning")
-    handler.value = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
 
 
 class CpuPhysics:
@@ -44,7 +30,7 @@ class CpuPhysics:
             decimation: physics steps per policy step.
             threads: physics threads; 0 takes one per CPU.
         """
-        _silence_mujoco()
+        silence_mujoco()
         self.num_envs = num_envs
         self.device = torch.device("cpu")
         self._decimation = decimation

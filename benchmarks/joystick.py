@@ -1,0 +1,163 @@
+"""How well a policy follows the joystick: commanded against achieved speed, and falls in a hectic drive.
+
+    python benchmarks/joystick.py [POLICY] [--picture docs/images/joystick.png] [--table joystick.md]
+
+POLICY is a run folder, a policy file, an exported file or the name of a shipped policy. The speeds are measured on flat
+ground, friction 1, without noise, pushes or payload, from standing, in eight directions relative to the heading that
+the robot starts with; the direction is fixed in the world, whichever way the robot turns. The first 2 s of each walk do
+not count; the mean velocity in the commanded direction over the next 6 s does.
+"""
+
+import argparse
+import math
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from arrive.config import Config, from_dict
+from arrive.deployment import Controller, Joystick
+from arrive.deployment.goals import DEAD_ZONE
+from arrive.deployment.policy_file import PolicyFile
+from arrive.drive.script import random_script
+from arrive.drive.session import Drive, Moment, Tally, run
+from arrive.errors import ArriveError
+from arrive.policies import open_policy
+from arrive.simulation import SimulatedRobot, continued, make_tile
+
+DIRECTIONS = 8
+SPEEDS = 5
+"""Commanded speeds from the slowest to the fastest."""
+RUN_UP_S, MEASURED_S = 2.0, 6.0
+HECTIC_S = 300.0
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One command from one start."""
+
+    commanded: float
+    """[m/s]."""
+    direction: float
+    """Relative to the heading at the start [rad]."""
+    along: float
+    """Mean velocity in the commanded direction [m/s]."""
+    across: float
+    """Mean velocity to the left of it [m/s]."""
+    fell: bool
+
+
+def sticks(policy: PolicyFile) -> list[float]:
+    """Stick magnitudes for evenly spaced speeds."""
+    if policy.task.name == "continuous":
+        return np.linspace(1.0 / SPEEDS, 1.0, SPEEDS).tolist()
+    # The slowest command is at the edge of the dead zone, a hair outside it.
+    return np.linspace(DEAD_ZONE + 1e-9, 1.0, SPEEDS).tolist()
+
+
+def walk(policy: PolicyFile, robot: SimulatedRobot, magnitude: float, direction: float, yaw: float) -> Walk:
+    """Hold one stick and see where the robot goes."""
+    drive = Drive(robot, Controller(policy))
+    robot.reset(yaw=yaw)
+    stick = Joystick(magnitude * math.cos(direction), magnitude * math.sin(direction), yaw)
+    moments: list[Moment] = []
+    for _ in range(round((RUN_UP_S + MEASURED_S) / robot.control_dt)):
+        moments.append(drive.step(stick))
+        if moments[-1].fell:
+            break
+    measured = [moment for moment in moments if moment.time_s > RUN_UP_S + 1e-6] or moments[-1:]
+    along = np.mean([moment.along for moment in measured])
+    angle = moments[0].commanded_angle
+    across = np.mean([moment.velocity_w @ (-math.sin(angle), math.cos(angle)) for moment in measured])
+    return Walk(moments[0].commanded_speed, direction, float(along), float(across), moments[-1].fell)
+
+
+def measure(policy: PolicyFile, repeats: int) -> list[Walk]:
+    """Every speed in every direction, each from `repeats` headings."""
+    robot = flat_robot(policy)
+    yaws = np.random.default_rng(1).uniform(-math.pi, math.pi, repeats)
+    directions = np.arange(DIRECTIONS) * 2.0 * math.pi / DIRECTIONS
+    return [walk(policy, robot, *case) for case in product(sticks(policy), directions, yaws)]
+
+
+def flat_robot(policy: PolicyFile) -> SimulatedRobot:
+    """On flat ground that does not end."""
+    config: Config = from_dict(Config, policy.meta["training"]["config"])
+    return SimulatedRobot(config, continued(make_tile("flat")))
+
+
+def hectic(policy: PolicyFile, seed: int) -> Tally:
+    """Five minutes of sticks that change every 0.3 to 2 s."""
+    drive = Drive(flat_robot(policy), Controller(policy))
+    return run(drive, random_script(seed, HECTIC_S), HECTIC_S, lambda moment, tally: None, real_time=False)
+
+
+def table(walks: list[Walk]) -> str:
+    """Mean achieved speed by commanded speed and direction, as Markdown."""
+    angles = sorted({w.direction for w in walks})
+    head = ["commanded [m/s]", *(f"{math.degrees(a):.0f}°" for a in angles), "mean", "drift", "falls"]
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    for speed in sorted({w.commanded for w in walks}):
+        same = [w for w in walks if w.commanded == speed]
+        cells = [f"{np.mean([w.along for w in same if w.direction == a]):.2f}" for a in angles]
+        mean, drift = np.mean([w.along for w in same]), np.mean([abs(w.across) for w in same])
+        falls = f"{sum(w.fell for w in same)} of {len(same)}"
+        lines.append(" | ".join([f"{speed:.2f}", *cells, f"**{mean:.2f}**", f"{drift:.2f}", falls]))
+    return "\n".join(f"| {line} |" for line in lines)
+
+
+def plot(walks: list[Walk], name: str, task_speeds: tuple[float, float], path: Path) -> None:
+    """Commanded against achieved speed, one line per direction."""
+    figure, axes = plt.subplots(figsize=(6.4, 4.8), constrained_layout=True)
+    speeds = sorted({w.commanded for w in walks})
+    for k, angle in enumerate(sorted({w.direction for w in walks})):
+        means = [np.mean([w.along for w in walks if w.commanded == s and w.direction == angle]) for s in speeds]
+        colour = plt.get_cmap("twilight")(0.1 + 0.8 * k / DIRECTIONS)
+        axes.plot(speeds, means, "o-", color=colour, label=f"{math.degrees(angle):.0f}°")
+    axes.plot(task_speeds, task_speeds, "k--", label="as commanded")
+    axes.set(xlabel="commanded: 3 m / remaining time [m/s]", ylabel="achieved along the command [m/s]", title=name)
+    axes.set_ylim(bottom=0.0)
+    axes.legend(title="direction from the\nstarting heading", ncols=2)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("policy", nargs="?")
+    parser.add_argument("--picture", type=Path, default=Path("docs/images/joystick.png"))
+    parser.add_argument("--table", type=Path, help="file for the table; printed anyway")
+    parser.add_argument("--repeats", type=int, default=5, help="starting headings per command")
+    parser.add_argument("--drives", type=int, default=3, help="hectic drives of five minutes, with seeds 1, 2, ...")
+    arguments = parser.parse_args()
+    policy = open_policy(arguments.policy)
+    name = arguments.policy or "shipped policy"
+    walks = measure(policy, arguments.repeats)
+    text = table(walks)
+    tallies = [hectic(policy, seed) for seed in range(1, arguments.drives + 1)]
+    if tallies:
+        falls = ", ".join(str(tally.falls) for tally in tallies)
+        driven = sum(tally.driven_s for tally in tallies)
+        asked, along = (sum(getattr(t, what) for t in tallies) / driven for what in ("commanded_m", "along_m"))
+        text += (
+            f"\n\n{len(tallies)} drives of {HECTIC_S:.0f} s with a new stick every 0.3 to 2 s (seeds 1 to "
+            f"{len(tallies)}): {falls} falls; asked for {asked:.2f} m/s on average, {along:.2f} m/s achieved along it."
+        )
+    print(text)
+    if arguments.table:
+        arguments.table.write_text(text + "\n")
+    plot(walks, name, (0.0, max(w.commanded for w in walks)), arguments.picture)
+    print(f"picture: {arguments.picture}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except ArriveError as error:
+        raise SystemExit(f"joystick: {error}") from None

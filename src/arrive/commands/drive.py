@@ -1,0 +1,47 @@
+"""`arrive drive`: walk the simulated robot with a gamepad or a file of sticks."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from arrive.commands.export import need_onnxruntime
+from arrive.config import Config, from_dict
+from arrive.errors import ArriveError
+
+if TYPE_CHECKING:
+    from arrive.cli import Drive
+
+
+def drive(command: Drive) -> None:
+    """Drive the deployment controller of a policy and say how it went."""
+    need_onnxruntime()
+    from arrive.deployment import Controller, ControlLog
+    from arrive.drive import session
+    from arrive.drive.gamepad import Gamepad
+    from arrive.drive.script import read_script
+    from arrive.drive.status import StatusLine, summarise
+    from arrive.policies import open_policy
+    from arrive.simulation import SimulatedRobot, continued, make_tile
+
+    if command.seconds is not None and not 0.0 < command.seconds < math.inf:
+        raise ArriveError(f"--seconds must be positive, not {command.seconds}")
+    policy = open_policy(command.policy)
+    config: Config = from_dict(Config, policy.meta["training"]["config"])
+    tile = make_tile(command.terrain, command.level, levels=config.terrain.levels, seed=command.seed)
+    script = read_script(command.script) if command.script else None
+    controls = script or Gamepad()
+    seconds = command.seconds or (script.end_s if script else math.inf)
+    log = ControlLog() if command.log else None
+    going = session.Drive(SimulatedRobot(config, continued(tile)), Controller(policy, log=log))
+    status = StatusLine()
+    try:
+        tally = session.run(going, controls, seconds, status.report, real_time=script is None)
+    finally:
+        status.close()
+        controls.close()
+        if log:
+            log.save(command.log)
+    print(summarise(tally))
+    if log:
+        print(f"log: {command.log}")

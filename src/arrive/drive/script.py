@@ -1,0 +1,94 @@
+"""Sticks written down beforehand, in place of a gamepad."""
+
+import csv
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from arrive.deployment import Joystick
+from arrive.errors import ArriveError
+
+COLUMNS = ("time_s", "forward", "left", "heading_rad")
+HOLD_S = (0.3, 2.0)
+"""A random script holds each stick this long, uniform [s]."""
+
+
+@dataclass(frozen=True)
+class Script:
+    """Each stick holds from its time to the next one's."""
+
+    times_s: tuple[float, ...]
+    """Ascending, from 0 on."""
+    sticks: tuple[Joystick, ...]
+
+    @property
+    def end_s(self) -> float:
+        """When the last stick begins [s]."""
+        return self.times_s[-1]
+
+    def stick(self, time_s: float, yaw: float) -> Joystick:
+        """The stick at a time; before the first it is in its middle."""
+        # A microsecond of tolerance, so that sums of control steps meet the times that were written.
+        index = bisect_right(self.times_s, time_s + 1e-6) - 1
+        return self.sticks[index] if index >= 0 else Joystick(0.0, 0.0)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def read_script(path: Path) -> Script:
+    """Read a CSV file with the columns `time_s`, `forward`, `left` and `heading_rad`.
+
+    `forward` and `left` are -1 to 1; `heading_rad` is the heading in the world that forward means, empty for the
+    robot's own. The last row ends the drive.
+
+    Raises:
+        ArriveError: missing, without these columns, or a row that is not numbers in ascending time.
+    """
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            rows, columns = list(reader), tuple(reader.fieldnames or ())
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ArriveError(f"cannot read {path}: {error}") from error
+    if columns != COLUMNS:
+        raise ArriveError(f"{path} must begin with the line {','.join(COLUMNS)}, not {','.join(columns)!r}")
+    if not rows:
+        raise ArriveError(f"{path} has no sticks: write a line per change, such as 0,1,0,")
+    times, sticks = [], []
+    for number, row in enumerate(rows, start=2):
+        values = [_number(path, number, row[name]) for name in COLUMNS[:3]]
+        heading = _number(path, number, row["heading_rad"]) if row["heading_rad"] else None
+        if values[0] < (times[-1] if times else 0.0):
+            raise ArriveError(f"{path}, line {number}: time goes back to {values[0]:g} s")
+        times.append(values[0])
+        sticks.append(Joystick(values[1], values[2], heading))
+    return Script(tuple(times), tuple(sticks))
+
+
+def _number(path: Path, line: int, text: str | None) -> float:
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise ArriveError(f"{path}, line {line}: {text!r} is not a finite number")
+    return value
+
+
+def random_script(seed: int, seconds: float) -> Script:
+    """Sticks uniform in direction and magnitude (of which a tenth falls into the dead zone), held for `HOLD_S`.
+
+    They refer to the world's x axis.
+    """
+    rng = np.random.default_rng(seed)
+    times, sticks, time_s = [], [], 0.0
+    while time_s < seconds:
+        magnitude, angle = rng.uniform(0.0, 1.0), rng.uniform(-math.pi, math.pi)
+        times.append(time_s)
+        sticks.append(Joystick(magnitude * math.cos(angle), magnitude * math.sin(angle), 0.0))
+        time_s += rng.uniform(*HOLD_S)
+    return Script((*times, seconds), (*sticks, Joystick(0.0, 0.0, 0.0)))

@@ -1,0 +1,55 @@
+"""The line that a driver reads."""
+
+import math
+import sys
+
+from arrive.drive.session import Moment, Tally
+
+LIVE_S, PLAIN_S = 0.1, 5.0
+"""Simulated time between lines, on a terminal where they replace each other and in a file [s]."""
+ARROWS = "↑↖←↙↓↘→↗"
+"""Directions relative to the heading, counter-clockwise from straight ahead."""
+
+
+class StatusLine:
+    """Prints how the drive goes, now and then."""
+
+    def __init__(self) -> None:
+        """Write to standard output."""
+        self._live = sys.stdout.isatty()
+        self._next_s = 0.0
+
+    def report(self, moment: Moment, tally: Tally) -> None:
+        """Take in a step, and print it if it is time."""
+        if moment.time_s < self._next_s and not moment.fell:
+            return
+        self._next_s = moment.time_s + (LIVE_S if self._live else PLAIN_S)
+        print(("\r\x1b[K" if self._live else "") + describe(moment, tally), end="" if self._live else "\n", flush=True)
+
+    def close(self) -> None:
+        """Leave the last line standing."""
+        if self._live:
+            print()
+
+
+def describe(moment: Moment, tally: Tally) -> str:
+    """One step in a line; the arrow shows the commanded direction as the robot sees it."""
+    asked = "stop"
+    if moment.commanded_speed:
+        relative = moment.commanded_angle - moment.yaw
+        arrow = ARROWS[round(relative / (math.pi / 4)) % 8]
+        asked = f"{arrow} {moment.commanded_speed:.2f} m/s"
+    speed = math.hypot(*moment.velocity_w)
+    reached = f"{moment.along:+.2f} m/s along, {speed:.2f} in all" if moment.commanded_speed else f"{speed:.2f} m/s"
+    return f"{moment.time_s:7.1f} s  {moment.mode:8}  asked {asked:10}  walks {reached}  falls {tally.falls}"
+
+
+def summarise(tally: Tally) -> str:
+    """The whole drive in a line."""
+    words = f"{tally.time_s:.1f} s, {tally.falls} falls"
+    if tally.driven_s:
+        asked, along = tally.commanded_m / tally.driven_s, tally.along_m / tally.driven_s
+        words += f"; asked for {asked:.2f} m/s on average, {along:.2f} m/s achieved along it"
+    if tally.late_s:
+        words += f"; the machine was too slow for real time and lost {tally.late_s:.1f} s"
+    return words

@@ -1,0 +1,35 @@
+"""The tasks as Gymnasium vector environments, one per terrain family and one with all of them.
+
+    import gymnasium
+    import arrive.gym
+
+    gymnasium.register_envs(arrive.gym)
+    envs = gymnasium.make_vec("arrive/Gap-v0", num_envs=64)
+
+Importing this module registers them; Gymnasium itself finds environments of other packages in no other way. What an
+environment is made of is imported when the first one is made.
+"""
+
+import gymnasium
+
+from arrive.terrain import FAMILIES
+
+ALL = "all"
+
+
+def environment_id(family: str) -> str:
+    """The id of a terrain family's environment, or of `all`: `arrive/StairsDown-v0` for `stairs_down`."""
+    return f"arrive/{''.join(word.capitalize() for word in family.split('_'))}-v0"
+
+
+def _register() -> None:
+    for family in (*FAMILIES, ALL):
+        if environment_id(family) not in gymnasium.registry:
+            gymnasium.register(
+                id=environment_id(family),
+                vector_entry_point="arrive.gym.vector:ArriveVectorEnv",
+                kwargs={"terrain": family},
+            )
+
+
+_register()

@@ -1,0 +1,31 @@
+"""How fast simulated time runs beside the clock on the wall."""
+
+LARGEST_DELAY_S = 0.2
+"""Simulated time that is caught up with at once; what is later than that is dropped, and the robot lags [s]."""
+
+
+class Pace:
+    """Says how many control steps are due, in real time or slower."""
+
+    def __init__(self, period_s: float, now_s: float):
+        """Start at `now_s` in real time.
+
+        Args:
+            period_s: simulated time of a control step [s].
+        """
+        self.factor = 1.0
+        """Simulated per real time: 1 is real time, 0 stands still."""
+        self._period_s, self._last_s, self._due_s = period_s, now_s, 0.0
+        self.dropped_s = 0.0
+        """Simulated time that could not be kept up with so far [s]."""
+
+    def steps_due(self, now_s: float) -> int:
+        """Control steps to simulate now, given the clock on the wall [s]."""
+        self._due_s += self.factor * (now_s - self._last_s)
+        self._last_s = now_s
+        late = max(0.0, self._due_s - LARGEST_DELAY_S)
+        self.dropped_s += late
+        self._due_s -= late
+        steps = int(self._due_s / self._period_s + 1e-9)
+        self._due_s -= steps * self._period_s
+        return steps

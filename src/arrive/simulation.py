@@ -1,0 +1,210 @@
+"""One simulated robot on one tile, without torch: what drives the deployment controller in place of a real one."""
+
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from arrive.config import Config
+from arrive.deployment.heights import HeightMap
+from arrive.deployment.inputs import Sensors
+from arrive.deployment.rotation import heading, matrix
+from arrive.errors import ArriveError
+from arrive.physics.divergence import MAX_SPEED, silence_mujoco
+from arrive.physics.world import compile_world, sensor_layout
+from arrive.robots import get_robot
+from arrive.terrain import Layout, Tile, build_tile, get_family
+from arrive.terrain.shapes import GROUND_HALF
+from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box
+
+DROP = 0.02
+"""Robots start this much above standing height [m]."""
+FOOTPRINT = 0.6
+"""Half the edge of the square around a starting robot whose highest point it is put above [m]."""
+MAP_HALF = 1.5
+"""Half the edge of the height map around the robot [m]; the grid's corners are 0.95 m away."""
+FAR = 200.0
+"""Half the edge of ground that is continued beyond its tile [m]."""
+
+
+def make_tile(
+    family: str,
+    level: int | None = None,
+    value: float | None = None,
+    levels: int = 10,
+    layout: Layout = "training",
+    seed: int = 1,
+) -> Tile:
+    """Build a tile by name.
+
+    Args:
+        level: difficulty, 0 to levels - 1; 0 where neither it nor a value is given. A family without a parameter has
+            the same ground on all of them.
+        value: the terrain's parameter itself, in the family's unit.
+
+    Raises:
+        ArriveError: no such family, level or value, or both a level and a value.
+    """
+    kind = get_family(family)
+    if level is not None and value is not None:
+        raise ArriveError("give a terrain's level or the value of its parameter, not both")
+    if value is None:
+        value = kind.value(level or 0, levels)
+    elif not math.isfinite(value):
+        raise ArriveError(f"the {kind.parameter} of {family} must be a finite number, not {value}")
+    return build_tile(kind, value, np.random.default_rng(seed), layout)
+
+
+def continued(tile: Tile) -> Tile:
+    """The tile with the blocks at its edge drawn out to `FAR`, so that nobody who drives falls off it.
+
+    Height fields and ramps cannot be drawn out; a tile whose edge has one is returned as it is.
+    """
+    if tile.height_field is not None or any(abs(box.quat[0]) < 1.0 for box in tile.boxes):
+        return tile
+    return replace(tile, boxes=tuple(_drawn_out(box) for box in tile.boxes))
+
+
+def _drawn_out(box: Box) -> Box:
+    center, half = list(box.center), list(box.half_size)
+    for axis in (0, 1):
+        low, high = center[axis] - half[axis], center[axis] + half[axis]
+        low, high = (-FAR if low <= -GROUND_HALF else low), (FAR if high >= GROUND_HALF else high)
+        center[axis], half[axis] = (low + high) / 2, (high - low) / 2
+    return replace(box, center=tuple(center), half_size=tuple(half))
+
+
+class SimulatedRobot:
+    """A robot in MuJoCo with the physics of training, stepped at the policy's rate.
+
+    `model` and `data` are MuJoCo's own, to be drawn. After a step the bodies' places in `data` are one physics step
+    older than `qpos`; nothing but a picture sees the difference.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        tile: Tile,
+        friction: float = 1.0,
+        payload_kg: float = 0.0,
+        visuals: bool = False,
+    ):
+        """Compile the world and put the robot at the tile's origin, looking along x.
+
+        Args:
+            config: names the robot and the physics options; nothing in it is random here.
+            tile: the ground, see `make_tile`; `continued` gives it no edge.
+            friction: sliding friction of every contact.
+            payload_kg: mass added to the base [kg].
+            visuals: whether to add the shapes that are only looked at.
+
+        Raises:
+            ArriveError: no such robot.
+        """
+        silence_mujoco()
+        self.robot, self.tile = get_robot(config.robot), tile
+        self.control_dt = config.physics.control_dt
+        """Time of one step [s]."""
+        self.model = compile_world(self.robot, tile, config.physics, friction, payload_kg, visuals)
+        self.data = mujoco.MjData(self.model)
+        self._decimation = config.physics.decimation
+        self._crash_sensors = sensor_layout(self.robot).crash_contacts
+        edges = [abs(box.center[axis]) + box.half_size[axis] for box in tile.boxes for axis in (0, 1)]
+        self._reach = tile.height_field.half_extent if tile.height_field is not None else max(edges)
+        self.reset()
+
+    def reset(self, position: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> None:
+        """Stand the robot still at its default pose over the highest ground around `position`.
+
+        Args:
+            position: of the base in the tile's frame [m].
+            yaw: heading [rad].
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        ground = float(self._around(position, FOOTPRINT)[1].max())
+        qpos = self.data.qpos
+        qpos[:3] = *position, ground + self.robot.standing_height + DROP
+        qpos[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        qpos[7:] = self.data.ctrl[:] = self.robot.default_joint_pos
+        # Only for pictures; a whole `mj_forward` would leave a warm start behind that training does not have.
+        mujoco.mj_kinematics(self.model, self.data)
+        self._failed = False
+
+    def step(self, joint_targets: np.ndarray) -> None:
+        """Advance one policy step (20 ms by default) towards (joints,) joint targets [rad]."""
+        self.data.ctrl[:] = joint_targets
+        try:
+            mujoco.mj_step(self.model, self.data, self._decimation)
+        except mujoco.FatalError:
+            self._failed = True
+
+    def push(self, velocity: tuple[float, float]) -> None:
+        """Change the base's horizontal velocity at once by this much, in the world [m/s]."""
+        self.data.qvel[:2] += velocity
+
+    @property
+    def time_s(self) -> float:
+        """Since the last reset [s]."""
+        return self.data.time
+
+    @property
+    def base_pos_w(self) -> np.ndarray:
+        """(3,) [m]."""
+        return self.data.qpos[:3].copy()
+
+    @property
+    def base_lin_vel_w(self) -> np.ndarray:
+        """(3,) [m/s]."""
+        return self.data.qvel[:3].copy()
+
+    @property
+    def yaw(self) -> float:
+        """Heading [rad]."""
+        return heading(self.data.qpos[3:7])
+
+    @property
+    def crashed(self) -> bool:
+        """Whether a crash body touched something or the simulation diverged (as in `ArriveEnv`)."""
+        touched = bool(self.data.sensordata[self._crash_sensors].any())
+        fast = not bool(np.abs(self.data.qvel).max() < MAX_SPEED)
+        return touched or fast or self._failed or not bool(np.isfinite(self.data.qpos).all())
+
+    @property
+    def fell(self) -> bool:
+        """Whether the base is lower than any of the tile's ground would let it be (as in `ArriveEnv`)."""
+        return bool(self.data.qpos[2] < self.tile.fall_height)
+
+    @property
+    def left_ground(self) -> bool:
+        """Whether the base is beyond the edge of the ground."""
+        return bool(np.abs(self.data.qpos[:2]).max() > self._reach)
+
+    def sensors(self, now_s: float | None = None) -> Sensors:
+        """What a perfect robot measures, for `Controller.step`.
+
+        Args:
+            now_s: on the controller's clock; `time_s` by default [s].
+        """
+        qpos, qvel = self.data.qpos, self.data.qvel
+        return Sensors(
+            joint_pos=qpos[7:].copy(),
+            joint_vel=qvel[6:].copy(),
+            base_pos_w=qpos[:3].copy(),
+            base_quat_w=qpos[3:7].copy(),
+            base_lin_vel_b=qvel[:3] @ matrix(qpos[3:7]),
+            base_ang_vel_b=qvel[3:6].copy(),
+            time_s=self.time_s if now_s is None else now_s,
+        )
+
+    def height_map(self, now_s: float | None = None) -> HeightMap:
+        """The tile's raster around the robot, for `Controller.step`; beyond the raster its edge goes on."""
+        origin, heights = self._around(self.data.qpos[:2], MAP_HALF)
+        return HeightMap(origin, RASTER_CELL, heights, self.time_s if now_s is None else now_s)
+
+    def _around(self, position: np.ndarray | tuple[float, float], half: float) -> tuple[np.ndarray, np.ndarray]:
+        """Outer corner of the first cell [m] and heights of the cells in the square around a position."""
+        first = np.floor((np.nan_to_num(position) - half + RASTER_HALF) / RASTER_CELL).astype(int)
+        cells = first[:, None] + np.arange(round(2 * half / RASTER_CELL) + 1)
+        x, y = np.clip(cells, 0, RASTER_SIZE - 1)
+        return first * RASTER_CELL - RASTER_HALF, self.tile.heights[np.ix_(x, y)]

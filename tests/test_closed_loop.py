@@ -1,0 +1,131 @@
+"""The controller in the network's place: it is told the same, and arrives as often."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from arrive.build import Placement, build_env
+from arrive.config import override
+from arrive.deployment import Controller
+from arrive.env import POLICY
+from arrive.errors import ArriveError
+from arrive.evaluation.arrival import cells_of
+from arrive.evaluation.closed_loop import ControlledRobots, check_pair, compare, describe, tilt
+from arrive.evaluation.policy import load_policy
+from arrive.policies import open_policy
+from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
+from arrive.terrain import FAMILIES
+
+RUN = Path(__file__).parent.parent / "results" / "flat-1"
+GRAVITY, HEIGHTS = slice(6, 9), slice(49, 236)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    torch.set_num_threads(1)
+    return load_policy(RUN)
+
+
+@pytest.fixture(scope="module")
+def file():
+    return open_policy(str(RUN))
+
+
+def test_tilt_turns_gravity_and_nothing_else():
+    yaw = torch.linspace(-3.0, 3.0, 7, dtype=torch.double)
+    quat = quat_of_yaw(yaw)
+    down = torch.tensor([0.0, 0.0, -1.0], dtype=torch.double).expand(7, 3)
+    measured = down + 0.05 * torch.randn(7, 3, generator=torch.Generator().manual_seed(1)).double()
+    tilted = tilt(quat, rotate_inverse(quat, down), measured)
+    seen = rotate_inverse(tilted, down)
+    torch.testing.assert_close(seen, measured / measured.norm(dim=-1, keepdim=True))
+    torch.testing.assert_close(yaw_of(tilted), yaw, atol=0.01, rtol=0)
+    torch.testing.assert_close(tilt(quat, down, down), quat)
+
+
+def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeypatch):
+    config = override(policy.config, ("num_envs=6", 'terrain.families=["stairs"]', "terrain.variants=2"))
+    everyone = torch.arange(6)
+    env = build_env(config, Placement(assignment=(0 * everyone, 0 * everyone + 3)), threads=1)
+    robots, seen = ControlledRobots(env, file), []
+    attempt = Controller._attempt
+
+    def spy(controller, frame):
+        seen.append(controller.observe(frame)[0])
+        return attempt(controller, frame)
+
+    monkeypatch.setattr(Controller, "_attempt", spy)
+    observation = env.get_observations()[POLICY]
+    for _ in range(50):
+        seen.clear()
+        actions = robots.act(observation)
+        mine = torch.from_numpy(np.stack(seen)).float()
+        gravity = observation[:, GRAVITY] / observation[:, GRAVITY].norm(dim=-1, keepdim=True)
+        torch.testing.assert_close(mine[:, GRAVITY], gravity, atol=1e-5, rtol=0)
+        # The controller leads to targets beyond 5 m in parts, remembers its action as it was before the limits, and
+        # cuts heights after the noise instead of before.
+        near = observation[:, 9:12].norm(dim=-1) * 2.0 < 5.0
+        for same in (slice(0, 6), slice(9, 37)):
+            torch.testing.assert_close(mine[near][:, same], observation[near][:, same], atol=1e-4, rtol=0)
+        inside = observation[:, HEIGHTS].abs() < 5.0
+        torch.testing.assert_close(mine[:, HEIGHTS][inside], observation[:, HEIGHTS][inside], atol=1e-4, rtol=0)
+        observation = env.step(actions)[0][POLICY]
+    assert near.any()
+    assert inside.float().mean() > 0.5
+
+
+def test_controllers_keep_the_time_that_is_left_at_the_reward_window(policy, file, monkeypatch):
+    config = override(policy.config, ("num_envs=1", "terrain.variants=1"))
+    env = build_env(config, Placement(assignment=(torch.zeros(1).long(), torch.zeros(1).long())), threads=1)
+    robots, told = ControlledRobots(env, file), []
+    observe = Controller.observe
+
+    def spy(controller, frame):
+        observation, order = observe(controller, frame)
+        told.append(order.time_left_s)
+        return observation, order
+
+    monkeypatch.setattr(Controller, "observe", spy)
+    env.task.command.time_left_s[:] = 2.5
+    for _ in range(50):
+        env.step(robots.act(env.get_observations()[POLICY]))
+    assert told[0] == pytest.approx(2.5)
+    assert told[24:] == pytest.approx([2.02, *[2.0] * 25])
+
+
+@pytest.mark.parametrize("family", ["flat", "rough"])
+def test_but_for_its_limits_the_controller_moves_the_robot_as_the_network_does(family, policy, file, monkeypatch):
+    """Without noise, torque limits and hold: until contacts have blown up the rounding of float32, the same motion."""
+    monkeypatch.setattr("arrive.deployment.safety.Limits.within_torque", lambda limits, targets, pos, vel: targets)
+    unheld = replace(file, task=replace(file.task, reward_window_s=0.0))
+    changes = ("num_envs=8", f'terrain.families=["{family}"]', "terrain.variants=2", "observation.noise=false")
+    config = override(policy.config, (*changes, "randomisation.push_speed=0"))
+    everyone = torch.zeros(8).long()
+    first, second = (build_env(config, Placement(assignment=(everyone, everyone)), threads=1) for _ in range(2))
+    robots = ControlledRobots(second, unheld)
+    observations = [env.get_observations()[POLICY] for env in (first, second)]
+    for _ in range(40):
+        observations[0] = first.step(policy.act(observations[0]))[0][POLICY]
+        observations[1] = second.step(robots.act(observations[1]))[0][POLICY]
+    assert float(first.state.joint_vel.abs().max()) > 1.0
+    torch.testing.assert_close(second.state.base_pos_w, first.state.base_pos_w, atol=1e-4, rtol=0)
+
+
+def test_the_controller_arrives_as_often_as_the_network(policy, file):
+    """Sixty episodes tell a broken controller; benchmarks/closed_loop.py says how large the difference is."""
+    (row,) = compare(policy, file, cells_of(policy.config, [FAMILIES["rough"]], 0), 60, seed=1, threads=1)
+    assert row.network.success > 0.8
+    assert abs(row.difference) <= 0.1
+    assert row.agreed >= 48
+    assert f"network {row.network.success:.1%}" in describe(row)
+
+
+def test_only_a_policys_own_export_is_compared(policy, file):
+    with pytest.raises(ArriveError, match="not the export"):
+        check_pair(load_policy(RUN.parent / "flat-2"), file)
+    velocity = replace(file, task=replace(file.task, name="velocity"))
+    with pytest.raises(ArriveError, match="no targets"):
+        check_pair(policy, velocity)

@@ -1,0 +1,287 @@
+"""Driving: files and gamepads as sticks, what a drive does and counts, and the command."""
+
+import ctypes
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arrive import cli
+from arrive.config import Config, from_dict
+from arrive.deployment import Controller, ControlLog, Joystick, replay
+from arrive.drive.gamepad import TURN_RAD_S, Gamepad
+from arrive.drive.script import HOLD_S, Script, random_script, read_script
+from arrive.drive.session import LARGEST_DELAY_S, Drive, Tally, run
+from arrive.drive.status import describe, summarise
+from arrive.errors import ArriveError
+from arrive.policies import open_policy
+from arrive.simulation import SimulatedRobot, continued, make_tile
+
+AHEAD = Joystick(1.0, 0.0, 0.0)
+HEADER = "time_s,forward,left,heading_rad\n"
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return open_policy()
+
+
+def a_drive(policy, log: ControlLog | None = None, terrain: str = "flat") -> Drive:
+    config = from_dict(Config, policy.meta["training"]["config"])
+    return Drive(SimulatedRobot(config, continued(make_tile(terrain))), Controller(policy, log=log))
+
+
+def nothing(moment, tally) -> None:
+    """Report to nobody."""
+
+
+# Scripts.
+
+
+def test_a_script_holds_each_stick_until_the_next(tmp_path):
+    path = tmp_path / "drive.csv"
+    path.write_text(HEADER + "1,0.5,-0.25,1.5\n2.5,0,1,\n4,0,0,\n")
+    script = read_script(path)
+    assert script.end_s == 4.0
+    assert script.stick(0.5, 0.0) == Joystick(0.0, 0.0)
+    # 75 steps of 20 ms are a rounding error less than 1.5 s.
+    assert script.stick(sum([0.02] * 50), 0.0) == Joystick(0.5, -0.25, 1.5)
+    assert script.stick(2.49, 0.0) == Joystick(0.5, -0.25, 1.5)
+    assert script.stick(2.5, 0.0) == Joystick(0.0, 1.0, None)
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        ("", "must begin with the line"),
+        ("time,x,y,heading\n0,1,0,0\n", "must begin with the line"),
+        (HEADER, "no sticks"),
+        (HEADER + "0,1,0,\n1,fast,0,\n", "line 3: 'fast'"),
+        (HEADER + "0,1\n", "line 2: None"),
+        (HEADER + "0,nan,0,\n", "line 2: 'nan'"),
+        (HEADER + "0,1,0,north\n", "'north'"),
+        (HEADER + "2,1,0,\n1,1,0,\n", "line 3: time goes back"),
+        (HEADER + "-1,1,0,\n", "line 2: time goes back"),
+    ],
+)
+def test_a_broken_script_names_the_line(content, part, tmp_path):
+    path = tmp_path / "drive.csv"
+    path.write_text(content)
+    with pytest.raises(ArriveError, match=part):
+        read_script(path)
+    with pytest.raises(ArriveError, match="cannot read"):
+        read_script(tmp_path / "absent.csv")
+
+
+def test_a_random_script_changes_quickly_and_repeats():
+    script = random_script(1, 300.0)
+    assert script == random_script(1, 300.0)
+    assert script != random_script(2, 300.0)
+    gaps = np.diff(script.times_s[:-1])
+    assert gaps.min() >= HOLD_S[0]
+    assert gaps.max() <= HOLD_S[1]
+    assert script.end_s == 300.0
+    assert script.stick(300.0, 0.0) == Joystick(0.0, 0.0, 0.0)
+    angles = [math.atan2(stick.left, stick.forward) for stick in script.sticks]
+    assert min(angles) < -3.0
+    assert max(angles) > 3.0
+
+
+# Gamepads, played by SDL's own virtual ones.
+
+
+class Virtual:
+    """A gamepad (or, with kind 0, a joystick of unknown layout) that exists in SDL alone."""
+
+    LEFT_X, LEFT_Y, RIGHT_X = 0, 1, 2
+
+    def __init__(self, kind: int):
+        pygame = pytest.importorskip("pygame")
+        libraries = list((Path(pygame.__file__).parent.parent / "pygame.libs").glob("libSDL2-2*"))
+        if not libraries:
+            pytest.skip("pygame does not carry an SDL of its own here")
+        self._sdl = ctypes.CDLL(str(libraries[0]))
+        self._sdl.SDL_JoystickOpen.restype = ctypes.c_void_p
+        pygame.display.init()
+        pygame.joystick.init()
+        self._index = self._sdl.SDL_JoystickAttachVirtual(kind, 6, 15, 0)
+        if self._index < 0:
+            pytest.skip("this SDL has no virtual gamepads")
+        self._device = ctypes.c_void_p(self._sdl.SDL_JoystickOpen(self._index))
+
+    def move(self, axis: int, value: float) -> None:
+        self._sdl.SDL_JoystickSetVirtualAxis(self._device, axis, ctypes.c_int16(round(32767 * value)))
+
+    def press(self, button: int, down: bool) -> None:
+        self._sdl.SDL_JoystickSetVirtualButton(self._device, button, ctypes.c_uint8(down))
+
+    def unplug(self) -> None:
+        self._sdl.SDL_JoystickDetachVirtual(self._index)
+
+
+@pytest.fixture
+def headless(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def test_a_gamepad_is_read(headless):
+    device = Virtual(kind=1)
+    gamepad = Gamepad()
+    try:
+        assert gamepad.stick(0.0, 0.3) == Joystick(0.0, 0.0, 0.3)
+        device.move(Virtual.LEFT_Y, -1.0)
+        device.move(Virtual.LEFT_X, 0.5)
+        stick = gamepad.stick(1.0, 0.9)
+        assert stick.forward == pytest.approx(1.0)
+        assert stick.left == pytest.approx(-0.5, abs=1e-3)
+        # The robot turned; forward stays where the operator looks.
+        assert stick.heading_rad == pytest.approx(0.3)
+        device.move(Virtual.RIGHT_X, 1.0)
+        assert gamepad.stick(1.2, 0.9).heading_rad == pytest.approx(0.3 - 0.2 * TURN_RAD_S)
+        device.move(Virtual.RIGHT_X, 0.05)
+        assert gamepad.stick(2.0, 0.9).heading_rad == pytest.approx(0.3 - 0.2 * TURN_RAD_S)
+        device.press(0, True)
+        assert gamepad.stick(2.1, 0.9).heading_rad == pytest.approx(0.9)
+        device.unplug()
+        with pytest.raises(ArriveError, match="disconnected"):
+            gamepad.stick(2.2, 0.9)
+    finally:
+        gamepad.close()
+
+
+def test_without_a_gamepad_it_says_what_there_is(headless, monkeypatch):
+    with pytest.raises(ArriveError, match=r"no game controller was found.*--script"):
+        Gamepad()
+    Virtual(kind=0)
+    with pytest.raises(ArriveError, match=r"no layout for Virtual Joystick"):
+        Gamepad()
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ArriveError, match=r"arrive\[gamepad\].*--script"):
+        Gamepad()
+
+
+# The drive.
+
+
+def test_the_robot_walks_where_the_stick_points(policy):
+    drive = a_drive(policy)
+    tally = run(drive, Script((0.0,), (Joystick(0.0, 1.0, 0.0),)), 5.0, nothing, real_time=False)
+    assert drive.robot.base_pos_w[1] > 3.0
+    assert abs(drive.robot.base_pos_w[0]) < 1.0
+    assert tally.time_s == pytest.approx(5.0)
+    assert tally.commanded_m == pytest.approx(1.5 * 5.0)
+    assert tally.along_m == pytest.approx(drive.robot.base_pos_w[1], abs=0.1)
+    assert tally.falls == 0
+    assert "0 falls; asked for 1.50 m/s" in summarise(tally)
+
+
+def test_a_fall_is_counted_and_the_robot_goes_on(policy):
+    log = ControlLog()
+    drive = a_drive(policy, log)
+    for _ in range(50):
+        drive.step(AHEAD)
+    drive.robot.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
+    drive.robot.data.qpos[2] = 0.3
+    tally = Tally()
+    for _ in range(20):
+        tally.add(moment := drive.step(AHEAD), 0.02)
+        if moment.fell:
+            break
+    assert tally.falls == 1
+    assert math.hypot(*drive.robot.base_pos_w[:2]) < 1e-9
+    assert drive.step(AHEAD).mode == "safe"
+    modes = [drive.step(AHEAD).mode for _ in range(150)]
+    assert modes[:20] == ["safe"] * 20
+    assert modes[30:] == ["joystick"] * 120
+    assert drive.robot.base_pos_w[0] > 1.0
+    # The log holds the fall too, and gives the same commands again.
+    again = replay(log, Controller(policy))
+    assert all(np.array_equal(a.targets, b.targets) for a, b in zip(again, log.commands, strict=True))
+    assert "falls 1" in describe(moment, tally)
+
+
+def test_a_robot_that_leaves_the_ground_is_put_back(policy):
+    drive = a_drive(policy, terrain="rough")
+    drive.robot.reset((7.9, 0.0))
+    tally = run(drive, Script((0.0,), (AHEAD,)), 3.0, nothing, real_time=False)
+    assert tally.falls == 1
+    assert drive.robot.base_pos_w[0] < 5.0
+
+
+class Clock:
+    """Stands still but for sleeping, and for what a step costs."""
+
+    def __init__(self, step_s: float):
+        self.now_s, self._step_s, self.slept_s = 0.0, step_s, 0.0
+
+    def read(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.slept_s += seconds
+
+    def stick(self, time_s: float, yaw: float) -> Joystick:
+        self.now_s += self._step_s
+        return AHEAD
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@pytest.mark.parametrize(("step_s", "late_s"), [(0.005, 0.0), (0.02, 0.0), (0.05, 100 * 0.03 - LARGEST_DELAY_S)])
+def test_real_time_is_kept_or_what_is_lost_is_said(step_s, late_s, policy):
+    clock = Clock(step_s)
+    tally = run(a_drive(policy), clock, 2.0, nothing, True, clock.read, clock.sleep)
+    assert clock.now_s == pytest.approx(max(2.0, 100 * step_s))
+    assert tally.late_s == pytest.approx(late_s, abs=1e-9)
+    assert ("too slow" in summarise(tally)) == (late_s > 0.0)
+
+
+def test_ctrl_c_ends_a_drive_with_its_tally(policy):
+    def interrupt(moment, tally):
+        if moment.time_s > 0.51:
+            raise KeyboardInterrupt
+
+    tally = run(a_drive(policy), Script((0.0,), (AHEAD,)), math.inf, interrupt, real_time=False)
+    assert tally.time_s == pytest.approx(0.52)
+
+
+def test_the_arrow_shows_the_direction_as_the_robot_sees_it(policy):
+    drive = a_drive(policy)
+    drive.robot.reset(yaw=math.pi / 2)
+    assert "asked →" in describe(drive.step(AHEAD), Tally())
+    assert "asked stop" in describe(drive.step(Joystick(0.0, 0.0)), Tally())
+
+
+# The command.
+
+
+def test_drive_by_a_file(tmp_path, capsys):
+    script, log = tmp_path / "drive.csv", tmp_path / "drive.npz"
+    script.write_text(HEADER + "0,1,0,0\n2,0,0,\n3,0,0,\n")
+    cli.main(["drive", "flat", "--script", str(script), "--log", str(log)])
+    assert "3.0 s, 0 falls" in capsys.readouterr().out
+    assert len(ControlLog.load(log).frames) == 150
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["--seconds", "0"], "--seconds must be positive"),
+        (["moon"], "no policy 'moon'"),
+        (["--terrain", "moon"], "unknown terrain"),
+        (["--level", "10", "--terrain", "gap"], "levels are 0 to 9"),
+        (["--script", "absent.csv"], "cannot read absent.csv"),
+        ([], "no gamepad"),
+    ],
+)
+def test_what_cannot_be_driven_is_one_line(arguments, part, capsys, headless):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["drive", *arguments])
+    assert ended.value.code == 1
+    error = capsys.readouterr().err
+    assert part in error
+    assert error.count("\n") == 1

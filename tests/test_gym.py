@@ -1,0 +1,221 @@
+"""Gymnasium: every id is found and runs, its checks pass, and episodes end as its specification says."""
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils import env_checker
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+
+from arrive.errors import ArriveError
+from arrive.gym import environment_id
+from arrive.terrain import FAMILIES
+
+SMALL = ("terrain.levels=2", "terrain.variants=1")
+SHORT = (*SMALL, "task.episode_s=0.4", "task.episode_min_s=0.4", "task.reward_window_s=0.2")
+
+
+def make(id: str = "arrive/Flat-v0", num_envs: int = 4, overrides=SMALL, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return gymnasium.make_vec(id, num_envs=num_envs, overrides=overrides, threads=1, **options)
+
+
+def rollout(envs, steps: int, scale: float = 0.3) -> list:
+    """Random actions, the same ones each time; everything that reset and the steps return."""
+    rng = np.random.default_rng(0)
+    return [envs.step(scale * rng.standard_normal(envs.action_space.shape)) for _ in range(steps)]
+
+
+def test_importing_arrive_imports_no_gymnasium_and_registering_no_torch():
+    program = (
+        "import sys, arrive\n"
+        "assert 'gymnasium' not in sys.modules\n"
+        "import gymnasium, arrive.gym\n"
+        "gymnasium.register_envs(arrive.gym)\n"
+        "assert 'arrive/StairsDown-v0' in gymnasium.registry\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+
+
+@pytest.mark.parametrize("family", [*FAMILIES, "all"])
+def test_every_id_runs(family):
+    envs = make(environment_id(family), num_envs=len(FAMILIES), overrides=SHORT)
+    observations, info = envs.reset(seed=1)
+    assert observations in envs.observation_space
+    assert info == {}
+    ends = 0
+    for observations, rewards, terminations, truncations, _ in rollout(envs, 25):
+        assert observations in envs.observation_space
+        assert observations.dtype == rewards.dtype == np.float32
+        assert rewards.shape == terminations.shape == truncations.shape == (len(FAMILIES),)
+        assert np.isfinite(rewards).all()
+        ends += terminations.sum()
+    assert ends >= len(FAMILIES)
+    envs.close()
+    assert envs.closed
+
+
+@pytest.mark.parametrize("task", ["final", "velocity"])
+def test_gymnasiums_own_checks_pass(task):
+    """Those of `check_env` that do not ask for a single environment's Python bool."""
+    envs = make(num_envs=1, task=task)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env_checker.check_reset_seed_determinism(envs)
+        env_checker.check_reset_options(envs)
+        env_checker.check_reset_return_type(envs)
+        env_checker.check_returned_data_not_reused(envs)
+
+
+@pytest.mark.parametrize("id", ["arrive/All-v0", "arrive/Rough-v0"])
+def test_a_seed_repeats_everything_bit_by_bit(id):
+    envs = make(id, num_envs=10, overrides=SHORT)
+    runs = []
+    for seed in (5, 5, 6):
+        first = envs.reset(seed=seed)
+        runs.append([first, *rollout(envs, 40, scale=1.0)])
+    assert env_checker.data_equivalence(runs[0], runs[1], exact=True)
+    assert not env_checker.data_equivalence(runs[0][0], runs[2][0])
+
+
+def test_a_restart_with_a_seed_is_what_a_new_environment_does():
+    env = make("arrive/Rough-v0", overrides=SHORT).unwrapped._env
+    first = env.get_observations()["policy"]
+    for _ in range(30):
+        env.step(torch.ones(4, 12))
+    env.restart(seed=env.config.seed)
+    torch.testing.assert_close(env.get_observations()["policy"], first, rtol=0, atol=0)
+
+
+def test_the_last_observation_is_the_old_episodes():
+    """The same robots given more time go on where the others end, and tell what the last observation must be."""
+    overrides = ("observation.noise=false", "randomisation.push_speed=0", *SHORT)
+    ending, going_on = (make("arrive/Rough-v0", level=1, overrides=overrides) for _ in range(2))
+    for envs in (ending, going_on):
+        envs.reset(seed=3)
+    going_on.unwrapped._env.task.command.time_left_s += 1.0
+    for first, second in zip(rollout(ending, 20), rollout(going_on, 20), strict=True):
+        (now, _, ended, _, info), (expected, _, too_early, *_) = first, second
+        assert not too_early.any()
+    assert ended.all()
+    last, time_left = np.stack(info["final_obs"]), 12
+    np.testing.assert_array_equal(np.delete(last, time_left, 1), np.delete(expected, time_left, 1))
+    np.testing.assert_allclose(last[:, time_left], 0.0, atol=1e-5)
+    assert (np.abs(now - last).max(1) > 0.1).all()
+
+
+class Toy(gymnasium.Env):
+    """Ends after two steps with the infos that ours have."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        self.steps = 0
+        return np.zeros(3, dtype=np.float32), {}
+
+    def step(self, action):
+        self.steps += 1
+        ended = self.steps == 2
+        final = {"is_success": True, "level": np.int64(0), "distance": np.float32(0.2), "failure": ""}
+        return np.ones(3, dtype=np.float32), 0.0, ended, False, final if ended else {}
+
+
+def layout(info: dict) -> dict:
+    """Names, types and shapes."""
+    return {
+        name: layout(value) if isinstance(value, dict) else (value.dtype, value.shape) for name, value in info.items()
+    }
+
+
+def test_infos_are_laid_out_as_gymnasiums_own_vector_environments_do():
+    envs = make(num_envs=2, level=0, overrides=SHORT)
+    envs.reset(seed=1)
+    toys = SyncVectorEnv([Toy, Toy], autoreset_mode=AutoresetMode.SAME_STEP)
+    toys.reset()
+    toys.step(np.zeros((2, 1)))
+    expected = toys.step(np.zeros((2, 1)))[4]
+    *before, (_, _, ended, _, info) = rollout(envs, 20)
+    assert ended.all()
+    assert all(step[4] == {} for step in before)
+    assert layout(info) == layout(expected)
+    assert info["final_obs"][0].shape == envs.single_observation_space.shape
+    assert info["final_obs"][0].dtype == np.float32
+
+
+def test_a_crash_terminates_with_its_cause_and_only_there():
+    envs = make(num_envs=8, level=0)
+    envs.reset(seed=1)
+    folded = np.tile([0.0, 3.0, -5.0, 0.0, -3.0, 5.0], (8, 2))
+    crashes = 0
+    for _ in range(80):
+        _, _, terminations, truncations, info = envs.step(folded)
+        assert not truncations.any()
+        if terminations.any():
+            np.testing.assert_array_equal(info["_final_obs"], terminations)
+            assert [obs is not None for obs in info["final_obs"]] == terminations.tolist()
+            assert set(info["final_info"]["failure"][terminations]) == {"crash"}
+            assert not info["final_info"]["is_success"].any()
+            crashes += terminations.sum()
+    assert crashes >= 8
+
+
+@pytest.mark.parametrize(("task", "truncates"), [("final", False), ("continuous", False), ("velocity", True)])
+def test_the_end_of_time_truncates_only_where_time_is_not_observed(task, truncates):
+    overrides = (*SMALL, "task.episode_s=0.4", "task.episode_min_s=0.4")
+    overrides += ("task.reward_window_s=0.4",) if task == "continuous" else ()
+    envs = make(num_envs=2, level=0, task=task, overrides=overrides)
+    envs.reset(seed=2)
+    *_, (_, _, terminations, truncations, _) = rollout(envs, 20, scale=0.0)
+    assert truncations.tolist() == [truncates] * 2
+    assert terminations.tolist() == [not truncates] * 2
+
+
+def test_gymnasiums_wrappers_fit():
+    envs = DictInfoToList(RecordEpisodeStatistics(make(num_envs=2, level=0, overrides=SHORT)))
+    envs.reset(seed=1)
+    for _ in range(20):
+        *_, infos = envs.step(np.zeros((2, 12)))
+    assert [info["episode"]["l"] for info in infos] == [20, 20]
+    assert infos[0]["final_info"]["failure"] in ("", "late", "stalled", "wrong_side")
+
+
+def test_levels_stay_where_they_are_put_and_follow_success_otherwise():
+    fixed = make("arrive/All-v0", num_envs=10, level=1, overrides=SHORT)
+    fixed.reset(seed=1)
+    has_levels = [family.lowest != family.highest for family in FAMILIES.values()]
+    ended = [step[4]["final_info"] for step in rollout(fixed, 40) if step[4]]
+    assert len(ended) >= 2
+    for info in ended:
+        np.testing.assert_array_equal(info["level"][info["_level"]], np.array(has_levels)[info["_level"]])
+    following = make("arrive/Stairs-v0", num_envs=16, overrides=(*SHORT, "task.arrival_radius=9"))
+    following.reset(seed=1)
+    levels = [step[4]["final_info"]["level"].max() for step in rollout(following, 80, scale=0.0) if step[4]]
+    assert levels[0] == 0
+    assert max(levels) == 1
+
+
+def test_mistakes_are_named():
+    for mistake, part in (
+        ({"level": 2}, "levels are 0 to 1"),
+        ({"preset": "moon"}, "unknown preset"),
+        ({"task": "fly"}, "unknown task"),
+        ({"overrides": ("ppo.gama=1",)}, "gamma"),
+        ({"num_envs": 0}, "num_envs"),
+    ):
+        with pytest.raises(ArriveError, match=part):
+            make(**mistake)
+    envs = make()
+    envs.reset(seed=1)
+    for actions in (np.zeros((3, 12)), np.full((4, 12), np.nan)):
+        with pytest.raises(ArriveError, match=r"\(4, 12\) finite"):
+            envs.step(actions)
+    with pytest.raises(ArriveError, match="no options"):
+        envs.reset(options={"reset_mask": np.ones(4, dtype=bool)})

@@ -1,0 +1,186 @@
+"""The single simulated robot: the same physics, senses and rules as the training environment, without torch."""
+
+import dataclasses
+import math
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from arrive.deployment.heights import HeightGrid as DeployedGrid
+from arrive.deployment.policy_file import GridSpec
+from arrive.errors import ArriveError
+from arrive.physics.cpu import CpuPhysics
+from arrive.physics.world import compile_world
+from arrive.presets import robust
+from arrive.simulation import FAR, SimulatedRobot, continued, make_tile
+from arrive.task.heights import HeightGrid, heading_points, look_up
+from arrive.terrain import FAMILIES
+
+CONFIG = robust()
+FLAT = make_tile("flat")
+FOLDED = np.array([0.0, 1.5, -2.7, 0.0, -1.5, 2.7] * 2)
+
+
+def standing(robot: SimulatedRobot, steps: int) -> None:
+    """Hold the default pose."""
+    for _ in range(steps):
+        robot.step(np.array(robot.robot.default_joint_pos))
+
+
+def test_importing_and_stepping_needs_no_torch():
+    program = (
+        "import sys\n"
+        "from arrive.presets import robust\n"
+        "from arrive.simulation import SimulatedRobot, make_tile\n"
+        "robot = SimulatedRobot(robust(), make_tile('gap', level=3))\n"
+        "robot.step(robot.sensors().joint_pos)\n"
+        "sys.exit('torch' in sys.modules)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+
+
+def test_physics_is_bit_identical_to_trainings():
+    robot = SimulatedRobot(CONFIG, make_tile("rough", level=9), friction=0.8, payload_kg=2.0)
+    world = compile_world(robot.robot, robot.tile, CONFIG.physics, 0.8, 2.0)
+    physics = CpuPhysics(robot.robot, [world], 1, CONFIG.physics.decimation, threads=1)
+    start = torch.from_numpy(robot.data.qpos.copy())[None]
+    physics.reset(torch.tensor([0]), start, torch.zeros(1, 18, dtype=torch.double))
+    rng, crashes = np.random.default_rng(0), 0
+    for step in range(150):
+        targets = (robot.robot.default_joint_pos if step < 75 else FOLDED) + rng.normal(0.0, 0.5, 12)
+        robot.step(targets)
+        physics.step(torch.from_numpy(targets)[None])
+        readings, sensors = physics.read(), robot.sensors()
+        np.testing.assert_array_equal(readings.joint_pos[0].numpy(), sensors.joint_pos.astype(np.float32))
+        np.testing.assert_array_equal(readings.base_pos_w[0].numpy(), sensors.base_pos_w.astype(np.float32))
+        np.testing.assert_array_equal(readings.base_ang_vel_b[0].numpy(), sensors.base_ang_vel_b.astype(np.float32))
+        assert bool(readings.crash_contacts[0] > 0) == robot.crashed
+        crashes += robot.crashed
+    assert 0 < crashes < 75
+
+
+def test_a_control_step_lasts_20_ms_and_a_standing_robot_stays():
+    robot = SimulatedRobot(CONFIG, FLAT)
+    robot.reset((1.0, -2.0), 0.5)
+    standing(robot, 50)
+    assert robot.time_s == pytest.approx(1.0)
+    np.testing.assert_allclose(robot.base_pos_w, [1.0, -2.0, robot.robot.standing_height], atol=0.02)
+    assert robot.yaw == pytest.approx(0.5, abs=0.02)
+    assert not robot.crashed
+    assert not robot.fell
+
+
+def test_a_push_is_felt_in_the_base_frame():
+    robot = SimulatedRobot(CONFIG, FLAT)
+    robot.reset(yaw=math.pi / 2)
+    robot.push((1.0, 0.0))
+    np.testing.assert_allclose(robot.base_lin_vel_w, [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(robot.sensors().base_lin_vel_b, [0.0, -1.0, 0.0], atol=1e-12)
+
+
+def test_limp_legs_end_in_a_crash_and_a_reset_forgets_it():
+    robot = SimulatedRobot(CONFIG, FLAT)
+    for _ in range(100):
+        robot.step(FOLDED)
+    assert robot.crashed
+    robot.reset()
+    assert not robot.crashed
+    first = robot.sensors()
+    standing(robot, 10)
+    robot.reset()
+    for name, value in vars(robot.sensors()).items():
+        np.testing.assert_array_equal(value, getattr(first, name))
+
+
+def test_a_diverged_simulation_is_a_crash():
+    robot = SimulatedRobot(CONFIG, FLAT)
+    robot.data.qvel[7] = np.nan
+    assert robot.crashed
+    robot.reset()
+    robot.data.qvel[:3] = 1e4
+    assert robot.crashed
+
+
+def test_a_robot_in_the_gap_fell():
+    robot = SimulatedRobot(CONFIG, make_tile("gap", value=1.4))
+    assert not robot.fell
+    robot.reset((1.9, 0.0))
+    assert robot.fell
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_height_map_is_what_training_looks_up(family):
+    robot = SimulatedRobot(CONFIG, make_tile(family, level=9))
+    grid = HeightGrid(CONFIG.observation)
+    deployed = DeployedGrid(GridSpec(grid.points.tolist(), 0.1, 0.5, 1.0))
+    rng, raster = np.random.default_rng(0), torch.from_numpy(robot.tile.heights)[None]
+    for _ in range(20):
+        x, y, yaw = *rng.uniform(-7.5, 7.5, 2), rng.uniform(-np.pi, np.pi)
+        robot.reset((x, y), yaw)
+        terrain, pos = robot.height_map(), robot.base_pos_w
+        mine = deployed.from_map(terrain.origin_w, terrain.resolution_m, terrain.heights_w, pos, robot.yaw)
+        points = heading_points(grid.points.double(), torch.from_numpy(pos)[None], torch.tensor([robot.yaw]).double())
+        expected = look_up(raster, torch.tensor([0]), points)[0].numpy()
+        # A grid point on the border of two cells may fall into either by rounding.
+        assert np.mean(mine != expected) < 0.02
+
+
+def test_continued_ground_goes_on_and_the_tile_itself_ends():
+    for tile, falls in ((FLAT, True), (continued(FLAT), False), (continued(make_tile("gap")), False)):
+        robot = SimulatedRobot(CONFIG, tile)
+        robot.reset((50.0, -30.0))
+        standing(robot, 50)
+        assert robot.left_ground == falls
+        assert (robot.base_pos_w[2] < 0.0) == falls
+    robot.reset((FAR + 1.0, 0.0))
+    assert robot.left_ground
+    assert continued(make_tile("rough")).height_field is not None
+    # The gap's walls, which do not lie at the edge, stay where they are.
+    gap, wide = make_tile("gap"), continued(make_tile("gap"))
+    assert gap.boxes[1] == wide.boxes[1]
+
+
+def test_a_robot_starts_above_the_highest_ground_under_it():
+    robot = SimulatedRobot(CONFIG, make_tile("pit", value=0.8))
+    robot.reset((1.5, 0.0))
+    assert robot.base_pos_w[2] > 0.8 + robot.robot.standing_height
+    assert not robot.crashed
+
+
+def test_visuals_do_not_change_the_physics():
+    plain, drawn = (SimulatedRobot(CONFIG, FLAT, visuals=visuals) for visuals in (False, True))
+    for robot in (plain, drawn):
+        standing(robot, 20)
+    np.testing.assert_array_equal(plain.data.qpos, drawn.data.qpos)
+    assert drawn.model.ngeom > plain.model.ngeom
+
+
+def test_tiles_by_name():
+    same, other = (make_tile("rough", level=9, seed=seed).heights for seed in (1, 2))
+    np.testing.assert_array_equal(same, make_tile("rough", level=9).heights)
+    assert not np.array_equal(same, other)
+    assert make_tile("stairs", level=9, layout="evaluation").heights.max() == pytest.approx(13 * 0.45)
+    for mistake, part in (
+        ({"family": "moon"}, "unknown terrain"),
+        ({"family": "gap", "level": 10}, "levels are 0 to 9"),
+        ({"family": "gap", "level": 1, "value": 0.5}, "not both"),
+        ({"family": "gap", "value": math.nan}, "finite"),
+    ):
+        with pytest.raises(ArriveError, match=part):
+            make_tile(**mistake)
+
+
+def test_an_unknown_robot_is_named():
+    with pytest.raises(ArriveError, match="anymal_c"):
+        SimulatedRobot(dataclasses.replace(CONFIG, robot="spot"), FLAT)
+
+
+def test_the_model_can_be_drawn_right_after_a_reset():
+    robot = SimulatedRobot(CONFIG, FLAT)
+    robot.reset((2.0, 1.0))
+    body = mujoco.mj_name2id(robot.model, mujoco.mjtObj.mjOBJ_BODY, robot.robot.base_body)
+    np.testing.assert_allclose(robot.data.xpos[body], robot.base_pos_w)
