@@ -45,15 +45,18 @@ class Scene:
         self._links = self._add_robot(robot)
         self._target_height = target_height
         self.gizmo = self._add_target(arrival_radius)
+        self._ground = server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
         self.show_ground(robot)
 
     def show_ground(self, robot: SimulatedRobot) -> None:
         """Replace the ground by the tile that the robot stands on."""
         with self._server.atomic():
-            ground = self._server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
-            self._add_body(ground.name, robot.model, 0, TERRAIN_GROUP)
+            self._ground.remove()
+            self._ground = self._server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
+            self._add_body(self._ground.name, robot.model, 0, TERRAIN_GROUP)
+            lines = f"{self._ground.name}/lines"
             self._server.scene.add_line_segments(
-                f"{ground.name}/lines", draped_lines(robot.tile), LINE_COLOUR, thickness=1.0, thickness_units="screen"
+                lines, draped_lines(robot.tile), LINE_COLOUR, thickness=1.0, thickness_units="screen"
             )
 
     def update(self, robot: SimulatedRobot, follow: bool) -> None:
@@ -97,7 +100,11 @@ class Scene:
         """A gizmo to be dragged, with a pole that stands in a disc as large as the place to be reached."""
         scene, name = self._server.scene, f"{WORLD}/target"
         gizmo = scene.add_transform_controls(
-            name, scale=0.7, active_axes=(True, True, False), disable_rotations=True, position=(2.0, 0.0, self._target_height)
+            name,
+            scale=0.7,
+            active_axes=(True, True, False),
+            disable_rotations=True,
+            position=(2.0, 0.0, self._target_height),
         )
         height = self._target_height
         disc, pole = cylinder(arrival_radius, 0.004), cylinder(0.012, height / 2)
@@ -135,7 +142,7 @@ def draped_lines(tile: Tile) -> np.ndarray:
         fixed = np.full(RASTER_SIZE, place)
         segments.append(_polyline(np.stack([fixed, centers, tile.heights[row]], axis=1)))
         segments.append(_polyline(np.stack([centers, fixed, tile.heights[:, row]], axis=1)))
-    return np.concatenate(segments) + (0.0, 0.0, LINE_LIFT)
+    return np.concatenate(segments) + np.array([0.0, 0.0, LINE_LIFT])
 
 
 def _polyline(points: np.ndarray) -> np.ndarray:

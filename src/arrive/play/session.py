@@ -1,0 +1,124 @@
+"""One simulation for all browsers: the thread that steps it, draws it and carries out what people ask for."""
+
+import queue
+import socket
+import threading
+import time
+
+import viser
+
+from arrive.errors import ArriveError
+from arrive.play.history import History
+from arrive.play.pace import Pace
+from arrive.play.panel import Panel, Request
+from arrive.play.playground import Playground
+from arrive.play.scene import Scene
+
+DRAW_PERIOD_S = 1 / 30
+"""Between pictures [s]."""
+PANEL_PERIOD_S = 0.2
+"""Between updates of status and plots [s]."""
+READING_STEPS = 2
+"""Control steps between readings in the plots."""
+NAP_S = 0.002
+"""The thread looks for work this often [s]."""
+
+
+def open_server(host: str, port: int) -> viser.ViserServer:
+    """Serve the page.
+
+    Raises:
+        ArriveError: the port is in use, or the host is not this machine's.
+    """
+    # viser would silently take another port, and look for one for ever where the host is wrong.
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except (OSError, OverflowError) as error:
+        raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
+    return viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
+
+
+class Session:
+    """What the browsers share. Only the thread that runs it touches the simulation."""
+
+    def __init__(self, server: viser.ViserServer, playground: Playground):
+        """Put everything on the page; nothing moves until `run`."""
+        self.playground = playground
+        self._server = server
+        task = playground.controller.policy.task
+        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._drawn_robot, self._drawn_target = playground.robot, playground.target
+        self._scene = Scene(server, playground.robot, task.arrival_radius_m, task.target_height_m)
+        self._panel = Panel(server, playground, self.post)
+        self._history = History(READING_STEPS * playground.control_dt)
+        self._steps = 0
+        self.pace = Pace(playground.control_dt)
+        """The simulation's clock, which also says how much time was lost."""
+        self._listen()
+
+    def post(self, request: Request) -> None:
+        """Have a request carried out between two control steps."""
+        self._requests.put(request)
+
+    def run(self, stop: threading.Event) -> None:
+        """Run until told to stop."""
+        pace = self.pace
+        draw_at = panel_at = time.monotonic()
+        while not stop.is_set():
+            self._carry_out()
+            pace.factor = self._panel.factor
+            for _ in range(pace.steps_due(time.monotonic())):
+                self._step()
+            now = time.monotonic()
+            if now >= draw_at:
+                self._draw()
+                draw_at = max(draw_at + DRAW_PERIOD_S, now)
+            if now >= panel_at:
+                self._panel.update(self.playground, pace, self._history)
+                panel_at = now + PANEL_PERIOD_S
+            stop.wait(NAP_S)
+
+    def _carry_out(self) -> None:
+        while not self._requests.empty():
+            try:
+                self._requests.get()(self.playground)
+            except ArriveError as error:
+                self.playground.messages.append(str(error))
+
+    def _step(self) -> None:
+        self.playground.step()
+        self._steps += 1
+        if self._steps % READING_STEPS == 0:
+            self._history.append(self.playground.read())
+
+    def _draw(self) -> None:
+        """Links always; ground and target only when they are others, for a person may be dragging the target."""
+        robot, target = self.playground.robot, self.playground.target
+        if robot is not self._drawn_robot:
+            self._scene.show_ground(robot)
+            self._drawn_robot = robot
+        if target is not self._drawn_target:
+            self._scene.show_target(target.position_w if target else None)
+            self._drawn_target = target
+        self._scene.update(robot, self._panel.follow)
+
+    def _listen(self) -> None:
+        """To the two ways of setting a target."""
+
+        @self._scene.gizmo.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            if event.phase == "end":
+                x, y, _ = event.target.position
+                self._panel.send(float(x), float(y))
+
+        @self._server.scene.on_click()
+        def _(event: viser.SceneClickEvent) -> None:
+            origin, direction = self._scene.in_world(event.ray_origin), event.ray_direction
+
+            def send_there(playground: Playground) -> None:
+                hit = playground.hit(origin, direction)
+                if hit is not None:
+                    playground.send(hit[0], hit[1], self._panel.duration_s)
+
+            self.post(send_there)
