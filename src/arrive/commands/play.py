@@ -36,4 +36,4 @@ def play(command: Play) -> None:
         server.stop()
         pace = session.pace
         kept = 1.0 - pace.dropped_s / max(pace.asked_s, 1e-9)
-        print(f"simulated {kept:.1%} of the {pace.asked_s:.1f} s asked for, {playground.falls} falls")
+        print(f"simulated {kept:.1%} of the {pace.asked_s:.1f} s asked for; falls: {playground.falls}")

@@ -17,7 +17,7 @@ HELP = (
     "Drag the target or click on the ground. Drive with the stick, the arrow keys (with shift at half speed) or a "
     "gamepad. `R` reset, `P` push, `G` go again, `space` pause. W A S D and the mouse move the camera."
 )
-PLOTS_WIDTH = 380
+PLOTS_WIDTH = 320
 """Of the panel with the plots [px]."""
 
 
@@ -34,6 +34,7 @@ class Panel:
         self._driver: int | None = None
         """The browser that last moved the stick."""
         gui = server.gui
+        gui.main_panel.dock_right()
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(224, 122, 31))
         self._status = gui.add_markdown("")
         with gui.add_folder("Target"):
@@ -155,5 +156,5 @@ def _status(playground: Playground, pace: Pace) -> str:
     if target is not None:
         left = max(0.0, target.arrive_at_s - playground.time_s)
         lines.append(f"{playground.distance:.2f} m to the target, {left:.1f} s left")
-    lines.append(f"{playground.time_s:.1f} s at {pace.factor:g} x real time, {playground.falls} falls")
+    lines.append(f"{playground.time_s:.1f} s at {pace.factor:g} x real time, falls: {playground.falls}")
     return "  \n".join(lines) + "\n\n" + "\n".join(f"- {message}" for message in playground.messages)

@@ -20,7 +20,7 @@ class Plots:
         """Add empty charts to the page."""
         self._joints, self._feet = len(joint_names), len(foot_names)
         self._way = _chart(
-            gui, "Speed [m/s] and distance to the target [m]", [("speed", BLUE), ("distance", ORANGE)], legend=True
+            gui, "Speed [m/s], distance to the target [m]", [("speed", BLUE), ("distance", ORANGE)], legend=True
         )
         colours = [DRIVES.get(name[-3:], RED) for name in joint_names]
         self._torque = _chart(
