@@ -120,7 +120,7 @@ class Panel:
     def _add_world(self, gui: viser.GuiApi) -> None:
         self._speed = gui.add_slider("Speed of time", min=0.1, max=1.0, step=0.1, initial_value=1.0)
         self._pause = gui.add_checkbox("Pause", False)
-        self._follow = gui.add_checkbox("Camera follows", False)
+        self._follow = gui.add_checkbox("Follow", False)
         push = gui.add_slider("Push [m/s]", min=0.2, max=3.0, step=0.2, initial_value=1.0)
         _on_press(gui, "Push", "P", lambda: self._post(lambda playground: playground.push(push.value)))
         _on_press(gui, "Reset", "R", lambda: self._post(Playground.reset))

@@ -23,7 +23,7 @@ LINE_LIFT = 0.006
 LINE_COLOUR = (96, 96, 92)
 ACTIVE, IDLE = (224, 122, 31), (150, 150, 150)
 """Colour of the target while the robot is sent there, and while it is not."""
-CAMERA = (-3.6, -3.6, 2.6)
+CAMERA = (-2.7, -2.7, 1.9)
 """Where a new browser looks from, towards the robot's start [m]."""
 
 

@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 
+import numpy as np
 import viser
 
 from arrive.errors import ArriveError
@@ -114,7 +115,7 @@ class Session:
 
         @self._server.scene.on_click()
         def _(event: viser.SceneClickEvent) -> None:
-            origin, direction = self._scene.in_world(event.ray_origin), event.ray_direction
+            origin, direction = self._scene.in_world(event.ray_origin), np.array(event.ray_direction)
 
             def send_there(playground: Playground) -> None:
                 hit = playground.hit(origin, direction)
