@@ -1,9 +1,11 @@
 """One simulation for all browsers: the thread that steps it, draws it and carries out what people ask for."""
 
+import math
 import queue
 import socket
 import threading
 import time
+from collections.abc import Callable, Hashable
 
 import numpy as np
 import viser
@@ -40,6 +42,26 @@ def open_server(host: str, port: int) -> viser.ViserServer:
     return viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
 
 
+class Ticker:
+    """Does something every now and then, but only if anything has changed."""
+
+    def __init__(self, period_s: float, act: Callable[[], None]):
+        """Do it at the first tick.
+
+        Args:
+            period_s: least time between two times [s].
+        """
+        self._period_s, self._act = period_s, act
+        self._next_s = -math.inf
+        self._seen: Hashable = None
+
+    def tick(self, now_s: float, state: Hashable) -> None:
+        """Do it now if it is time and `state` is another than when it was done last."""
+        if now_s >= self._next_s and state != self._seen:
+            self._act()
+            self._seen, self._next_s = state, now_s + self._period_s
+
+
 class Session:
     """What the browsers share. Only the thread that runs it touches the simulation."""
 
@@ -53,7 +75,9 @@ class Session:
         self._scene = Scene(server, playground.robot, task.arrival_radius_m, task.target_height_m)
         self._panel = Panel(server, playground, self.post)
         self._history = History(READING_STEPS * playground.control_dt)
-        self._steps = 0
+        self._steps = self._answered = 0
+        self._picture = Ticker(DRAW_PERIOD_S, self._draw)
+        self._display = Ticker(PANEL_PERIOD_S, lambda: self._panel.update(self.playground, self.pace, self._history))
         self.pace = Pace(playground.control_dt)
         """The simulation's clock, which also says how much time was lost."""
         self._listen()
@@ -64,20 +88,14 @@ class Session:
 
     def run(self, stop: threading.Event) -> None:
         """Run until told to stop."""
-        pace = self.pace
-        draw_at = panel_at = time.monotonic()
         while not stop.is_set():
             self._carry_out()
-            pace.factor = self._panel.factor
-            for _ in range(pace.steps_due(time.monotonic())):
+            self.pace.factor = self._panel.factor
+            for _ in range(self.pace.steps_due(time.monotonic())):
                 self._step()
-            now = time.monotonic()
-            if now >= draw_at:
-                self._draw()
-                draw_at = max(draw_at + DRAW_PERIOD_S, now)
-            if now >= panel_at:
-                self._panel.update(self.playground, pace, self._history)
-                panel_at = now + PANEL_PERIOD_S
+            state = (self._steps, self._answered, self.pace.factor, self._panel.follow)
+            self._picture.tick(time.monotonic(), state)
+            self._display.tick(time.monotonic(), state)
             stop.wait(NAP_S)
 
     def _carry_out(self) -> None:
@@ -86,6 +104,7 @@ class Session:
                 self._requests.get()(self.playground)
             except ArriveError as error:
                 self.playground.messages.append(str(error))
+            self._answered += 1
 
     def _step(self) -> None:
         self.playground.step()
