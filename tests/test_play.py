@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import re
 import socket
 import threading
 import time
@@ -392,6 +393,25 @@ def test_a_port_in_use_is_an_error(capsys):
 def test_an_impossible_address_is_an_error(capsys, arguments):
     pytest.importorskip("viser")
     assert arguments[1] in refused(capsys, *arguments)
+
+
+def test_the_command_serves_and_says_whether_it_kept_real_time(capsys):
+    pytest.importorskip("viser")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    cli.main(["play", "--port", str(port), "--seconds", "0.5", "--terrain", "gap", "--level", "2"])
+    out = capsys.readouterr().out
+    assert f"http://127.0.0.1:{port}" in out
+    assert re.search(r"simulated \d+\.\d% of the 0\.\d s asked for; falls: 0", out)
+
+
+def test_nothing_is_drawn_again_unless_it_changed():
+    ticker_type = pytest.importorskip("arrive.play.session").Ticker
+    drawn = []
+    ticker = ticker_type(0.1, lambda: drawn.append(1))
+    for now_s, state in ((0.0, "a"), (0.05, "b"), (0.11, "b"), (0.3, "b"), (0.5, "c")):
+        ticker.tick(now_s, state)
+    assert len(drawn) == 3, "at once, when due after the change to b, and at c"
 
 
 def test_what_the_command_is_asked_is_checked(capsys):

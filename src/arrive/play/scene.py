@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import viser
 
+from arrive.play.playground import TERRAIN_GROUP
 from arrive.play.shapes import Triangles, cylinder, geom_triangles, joined
 from arrive.robots.anymal_c_visuals import VISUAL_GROUP
 from arrive.simulation import SimulatedRobot
@@ -13,7 +14,6 @@ from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_centers
 
 WORLD = "/world"
 """Everything hangs on this frame; moving it against the robot lets the camera follow."""
-TERRAIN_GROUP = 0
 PARKED_BELOW = -50.0
 """Terrain geoms lower than this are unused ones [m]."""
 LINE_SPACING = 1.0

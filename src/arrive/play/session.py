@@ -1,5 +1,7 @@
 """One simulation for all browsers: the thread that steps it, draws it and carries out what people ask for."""
 
+import contextlib
+import io
 import math
 import queue
 import socket
@@ -39,7 +41,9 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             pass
     except (OSError, OverflowError) as error:
         raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
-    return viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
+    # Whatever it is told, viser prints a box with its own addresses.
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
 
 
 class Ticker:
