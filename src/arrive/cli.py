@@ -1,4 +1,4 @@
-"""The command line: `arrive train | eval | report | drive | export | verify | bench | list`."""
+"""The command line: `arrive train | eval | report | play | drive | export | verify | bench | list`."""
 
 import sys
 from dataclasses import dataclass, field
@@ -101,6 +101,24 @@ class Drive:
 
 
 @dataclass(frozen=True)
+class Play:
+    """Drive a robot in the browser, run by the same controller as a real one."""
+
+    policy: tyro.conf.Positional[str | None] = field(default=None)
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list`; `flat` by default."""
+    terrain: str = "flat"
+    """Terrain family, see `arrive list`."""
+    level: int = 0
+    """Its difficulty, 0 to 9."""
+    port: int = 8080
+    """Port of the page."""
+    host: str = "127.0.0.1"
+    """Address that the page is served on; 0.0.0.0 lets everyone drive who reaches this machine."""
+    seconds: float | None = None
+    """Stop after this time; with Ctrl-C by default [s]."""
+
+
+@dataclass(frozen=True)
 class Export:
     """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
 
@@ -120,7 +138,7 @@ class Verify:
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure how fast this machine simulates, collects and learns."""
+    """Measure how fast this machine simulates, collects and learns, or runs the controller of a robot."""
 
     terrain: tyro.conf.Positional[str] = "flat"
     """Terrain family, several joined by commas, or `all`."""
@@ -138,16 +156,20 @@ class Bench:
     """Run folder whose policy moves the robots; without it they fall."""
     set: tuple[str, ...] = ()
     """Changes to the configuration as PATH=VALUE, e.g. ppo.hidden=[512,256,128]."""
+    deployment: bool = False
+    """Measure the control step on a robot instead: its latency on one core and its memory."""
+    policy: tuple[Path, ...] = ()
+    """Exported files to measure with `--deployment`, beside networks of the paper's size with random weights."""
     json: Path | None = None
     """File for the result as JSON."""
 
 
 @dataclass(frozen=True)
 class List:
-    """Name the terrains, presets, robots and tasks."""
+    """Name the terrains, presets, robots, tasks, rewards and shipped policies."""
 
     what: tyro.conf.Positional[str | None] = field(default=None)
-    """`terrains`, `presets`, `robots`, `tasks` or `rewards`; everything by default."""
+    """`terrains`, `presets`, `robots`, `tasks`, `rewards` or `policies`; everything by default."""
 
 
 Command = (
@@ -155,6 +177,7 @@ Command = (
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Drive, tyro.conf.subcommand("drive")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -173,6 +196,7 @@ def main(arguments: list[str] | None = None) -> None:
         Eval: commands.evaluate,
         Report: commands.report,
         Drive: commands.drive,
+        Play: commands.play,
         Export: commands.export,
         Verify: commands.verify_file,
         Bench: commands.bench,

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from arrive.bench.deployment import bench_deployment, print_deployment
 from arrive.bench.throughput import RATES, bench_throughput
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
@@ -29,23 +30,33 @@ LABELS = {
 
 def bench(command: Bench) -> None:
     """Measure and print; write the JSON file where one is named."""
+    if command.deployment:
+        result = bench_deployment(command.policy)
+        print_deployment(result)
+    else:
+        result = _throughput(command)
+        _print(result)
+    if command.json is not None:
+        command.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def _throughput(command: Bench) -> dict[str, Any]:
     if command.rounds < 1:
         raise ArriveError(f"--rounds must be at least 1, not {command.rounds}")
+    if command.policy:
+        raise ArriveError("--policy names what --deployment measures; --start-from names the run that moves the robots")
     threads = use_threads(command.threads)
     families = parse_families(command.terrain)
     config = make_config(families, command.preset, command.task, command.num_envs, overrides=command.set)
     with Progress(transient=True) as bar:
         rounds = bar.add_task("measuring", total=None)
-        result = bench_throughput(
+        return bench_throughput(
             config,
             threads,
             command.rounds,
             command.start_from,
             lambda done, total: bar.update(rounds, completed=done, total=total),
         )
-    _print(result)
-    if command.json is not None:
-        command.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
 def _print(result: dict[str, Any]) -> None:
