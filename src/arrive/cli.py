@@ -1,4 +1,4 @@
-"""The command line: `arrive train | eval | report | drive | export | verify | list`."""
+"""The command line: `arrive train | eval | report | play | drive | export | verify | list`."""
 
 import sys
 from dataclasses import dataclass, field
@@ -81,6 +81,24 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Play:
+    """Drive a robot in the browser, run by the same controller as a real one."""
+
+    policy: tyro.conf.Positional[str | None] = field(default=None)
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list`; `flat` by default."""
+    terrain: str = "flat"
+    """Terrain family, see `arrive list`."""
+    level: int = 0
+    """Its difficulty, 0 to 9."""
+    port: int = 8080
+    """Port of the page."""
+    host: str = "127.0.0.1"
+    """Address that the page is served on; 0.0.0.0 lets everyone drive who reaches this machine."""
+    seconds: float | None = None
+    """Stop after this time; with Ctrl-C by default [s]."""
+
+
+@dataclass(frozen=True)
 class Drive:
     """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
 
@@ -120,16 +138,17 @@ class Verify:
 
 @dataclass(frozen=True)
 class List:
-    """Name the terrains, presets, robots and tasks."""
+    """Name the terrains, presets, robots, tasks, rewards and shipped policies."""
 
     what: tyro.conf.Positional[str | None] = field(default=None)
-    """`terrains`, `presets`, `robots`, `tasks` or `rewards`; everything by default."""
+    """`terrains`, `presets`, `robots`, `tasks`, `rewards` or `policies`; everything by default."""
 
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Drive, tyro.conf.subcommand("drive")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
@@ -147,6 +166,7 @@ def main(arguments: list[str] | None = None) -> None:
         Train: commands.train,
         Eval: commands.evaluate,
         Report: commands.report,
+        Play: commands.play,
         Drive: commands.drive,
         Export: commands.export,
         Verify: commands.verify_file,

@@ -37,8 +37,8 @@ class History:
 
     @property
     def distance(self) -> np.ndarray:
-        """(n,) to the target, NaN where there was none [m]."""
-        return np.array([row.distance for row in self._rows])
+        """(n,) to the target, 0 where there was none, for the plots know no gaps [m]."""
+        return np.nan_to_num([row.distance for row in self._rows])
 
     @property
     def torque(self) -> np.ndarray:

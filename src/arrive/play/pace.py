@@ -7,21 +7,26 @@ LARGEST_DELAY_S = 0.2
 class Pace:
     """Says how many control steps are due, in real time or slower."""
 
-    def __init__(self, period_s: float, now_s: float):
-        """Start at `now_s` in real time.
+    def __init__(self, period_s: float):
+        """Start in real time, at the first call of `steps_due`.
 
         Args:
             period_s: simulated time of a control step [s].
         """
         self.factor = 1.0
         """Simulated per real time: 1 is real time, 0 stands still."""
-        self._period_s, self._last_s, self._due_s = period_s, now_s, 0.0
+        self._period_s, self._due_s = period_s, 0.0
+        self._last_s: float | None = None
+        self.asked_s = 0.0
+        """Simulated time that was asked for so far [s]."""
         self.dropped_s = 0.0
-        """Simulated time that could not be kept up with so far [s]."""
+        """How much of it could not be kept up with [s]."""
 
     def steps_due(self, now_s: float) -> int:
         """Control steps to simulate now, given the clock on the wall [s]."""
-        self._due_s += self.factor * (now_s - self._last_s)
+        asked_s = self.factor * (now_s - (now_s if self._last_s is None else self._last_s))
+        self.asked_s += asked_s
+        self._due_s += asked_s
         self._last_s = now_s
         late = max(0.0, self._due_s - LARGEST_DELAY_S)
         self.dropped_s += late

@@ -173,8 +173,7 @@ class Playground:
         groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
         groups[TERRAIN_GROUP] = 1
         model, data = self.robot.model, self.robot.data
-        nothing = np.zeros(1, dtype=np.int32)
-        distance = mujoco.mj_ray(model, data, origin, direction, groups, 1, -1, nothing)
+        distance = mujoco.mj_ray(model, data, origin, direction, groups, 1, -1, None)
         return origin + distance * direction if distance >= 0.0 else None
 
     def _start(self) -> None:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import viser
 
+from arrive.play.playground import TERRAIN_GROUP
 from arrive.play.shapes import Triangles, cylinder, geom_triangles, joined
 from arrive.robots.anymal_c_visuals import VISUAL_GROUP
 from arrive.simulation import SimulatedRobot
@@ -13,7 +14,6 @@ from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_centers
 
 WORLD = "/world"
 """Everything hangs on this frame; moving it against the robot lets the camera follow."""
-TERRAIN_GROUP = 0
 PARKED_BELOW = -50.0
 """Terrain geoms lower than this are unused ones [m]."""
 LINE_SPACING = 1.0
@@ -23,7 +23,7 @@ LINE_LIFT = 0.006
 LINE_COLOUR = (96, 96, 92)
 ACTIVE, IDLE = (224, 122, 31), (150, 150, 150)
 """Colour of the target while the robot is sent there, and while it is not."""
-CAMERA = (-3.6, -3.6, 2.6)
+CAMERA = (-2.7, -2.7, 1.9)
 """Where a new browser looks from, towards the robot's start [m]."""
 
 
@@ -45,15 +45,18 @@ class Scene:
         self._links = self._add_robot(robot)
         self._target_height = target_height
         self.gizmo = self._add_target(arrival_radius)
+        self._ground = server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
         self.show_ground(robot)
 
     def show_ground(self, robot: SimulatedRobot) -> None:
         """Replace the ground by the tile that the robot stands on."""
         with self._server.atomic():
-            ground = self._server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
-            self._add_body(ground.name, robot.model, 0, TERRAIN_GROUP)
+            self._ground.remove()
+            self._ground = self._server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
+            self._add_body(self._ground.name, robot.model, 0, TERRAIN_GROUP)
+            lines = f"{self._ground.name}/lines"
             self._server.scene.add_line_segments(
-                f"{ground.name}/lines", draped_lines(robot.tile), LINE_COLOUR, thickness=1.0, thickness_units="screen"
+                lines, draped_lines(robot.tile), LINE_COLOUR, thickness=1.0, thickness_units="screen"
             )
 
     def update(self, robot: SimulatedRobot, follow: bool) -> None:
@@ -97,7 +100,11 @@ class Scene:
         """A gizmo to be dragged, with a pole that stands in a disc as large as the place to be reached."""
         scene, name = self._server.scene, f"{WORLD}/target"
         gizmo = scene.add_transform_controls(
-            name, scale=0.7, active_axes=(True, True, False), disable_rotations=True, position=(2.0, 0.0, self._target_height)
+            name,
+            scale=0.7,
+            active_axes=(True, True, False),
+            disable_rotations=True,
+            position=(2.0, 0.0, self._target_height),
         )
         height = self._target_height
         disc, pole = cylinder(arrival_radius, 0.004), cylinder(0.012, height / 2)
@@ -135,7 +142,7 @@ def draped_lines(tile: Tile) -> np.ndarray:
         fixed = np.full(RASTER_SIZE, place)
         segments.append(_polyline(np.stack([fixed, centers, tile.heights[row]], axis=1)))
         segments.append(_polyline(np.stack([centers, fixed, tile.heights[:, row]], axis=1)))
-    return np.concatenate(segments) + (0.0, 0.0, LINE_LIFT)
+    return np.concatenate(segments) + np.array([0.0, 0.0, LINE_LIFT])
 
 
 def _polyline(points: np.ndarray) -> np.ndarray:

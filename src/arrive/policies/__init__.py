@@ -1,10 +1,15 @@
 """Exported policies that come with the package; another is a file beside this one and a line in `SHIPPED`."""
 
+from __future__ import annotations
+
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from arrive.deployment.policy_file import PolicyFile, read_policy_file
 from arrive.errors import ArriveError
+
+if TYPE_CHECKING:
+    from arrive.deployment.policy_file import PolicyFile
 
 SHIPPED: dict[str, str] = {
     "flat": "trained on flat ground alone (results/flat-1)",
@@ -30,6 +35,9 @@ def open_policy(name: str | None = None) -> PolicyFile:
     Raises:
         ArriveError: it is none of these, or cannot be read.
     """
+    # Imported here so that listing names needs no onnxruntime.
+    from arrive.deployment.policy_file import read_policy_file
+
     name = name or DEFAULT
     path = Path(name)
     if name in SHIPPED:
@@ -48,6 +56,7 @@ def _exported(path: Path) -> PolicyFile:
     """Export a trained policy into a file that does not outlive the call."""
     # Imported here because only this needs torch.
     from arrive.deployment.export import export_policy
+    from arrive.deployment.policy_file import read_policy_file
     from arrive.evaluation.policy import load_policy
 
     with tempfile.TemporaryDirectory() as folder:

@@ -1,0 +1,59 @@
+"""Live plots of the last seconds: speed and distance, torques, feet on the ground."""
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from arrive.play.history import WINDOW_S, History
+
+BLUE, ORANGE, GREEN, RED = "#2f6fb0", "#e07a1f", "#3a8f4d", "#b03a48"
+DRIVES = {"HAA": BLUE, "HFE": ORANGE, "KFE": GREEN}
+"""Colour of a joint's torque by the end of its name; others are red."""
+LIFT = 0.7
+"""Height of a foot's line while it touches, in rows."""
+HEIGHT = 170
+"""Of a chart [px]."""
+
+
+class Plots:
+    """Three charts with the same time axis."""
+
+    def __init__(self, gui: viser.GuiApi, joint_names: tuple[str, ...], foot_names: tuple[str, ...]):
+        """Add empty charts to the page."""
+        self._joints, self._feet = len(joint_names), len(foot_names)
+        way = [("speed [m/s]", BLUE), ("distance to the target [m]", ORANGE)]
+        self._way = _chart(gui, "Speed and distance", way, _at_least(0.0, 1.5))
+        joints = [(name, DRIVES.get(name[-3:], RED)) for name in joint_names]
+        self._torque = _chart(gui, "Torques [N m]", joints, _at_least(-40.0, 40.0), legend=False)
+        gui.add_markdown("blue HAA, orange HFE, green KFE")
+        feet = list(zip((name.removesuffix("_FOOT") for name in foot_names), (BLUE, ORANGE, GREEN, RED), strict=True))
+        self._contact = _chart(gui, "Feet on the ground", feet, {"range": (-0.2, float(self._feet))})
+
+    def update(self, history: History, now_s: float) -> None:
+        """Show the history; time 0 is now."""
+        time_s = history.time_s - now_s
+        rows = np.arange(self._feet)[::-1, None]
+        self._way.data = (time_s, history.speed, history.distance)
+        self._torque.data = (time_s, *history.torque.T.reshape(self._joints, -1))
+        self._contact.data = (time_s, *(rows + LIFT * history.contact.T.reshape(self._feet, -1)))
+
+
+def _at_least(low: float, high: float) -> dict[str, Any]:
+    """A scale that shows this range, and more where the data need it."""
+    return {"range": {"min": {"soft": low, "mode": 1, "pad": 0.1}, "max": {"soft": high, "mode": 1, "pad": 0.1}}}
+
+
+def _chart(
+    gui: viser.GuiApi, title: str, lines: list[tuple[str, str]], scale: dict[str, Any], legend: bool = True
+) -> viser.GuiUplotHandle:
+    """A chart of lines given by name and colour."""
+    nothing = np.array([-WINDOW_S, 0.0])
+    return gui.add_uplot(
+        (nothing, *(np.zeros(2) for _ in lines)),
+        ({"label": "time [s]"}, *({"label": name, "stroke": colour, "width": 1.5} for name, colour in lines)),
+        title=title,
+        scales={"x": {"time": False, "range": (-WINDOW_S, 0.0)}, "y": scale},
+        legend={"show": legend, "live": False},
+        height=HEIGHT,
+    )

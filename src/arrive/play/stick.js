@@ -1,0 +1,82 @@
+// The on-screen stick, the arrow keys and a gamepad, as one direction. It runs in the page: viser has no stick of its
+// own and hears of keys only when they go down. What it finds it writes into the text field "stick" as
+// "FORWARD LEFT", each -1 to 1, which is all the server reads.
+(function (pad) {
+  const REACH = 46; // travel of the knob [px]
+  const PERIOD_MS = 50;
+  const DEAD_ZONE = 0.1; // of a gamepad's stick, whose middle is never exactly 0
+  const WRITTEN = /^-?\d\.\d\d -?\d\.\d\d$/;
+  const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
+
+  function textField() {
+    return [...document.querySelectorAll("input")].find((input) => WRITTEN.test(input.value));
+  }
+
+  // React takes over a value only if it is set by the element's own setter and followed by an event.
+  function write(field, text) {
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field, text);
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+  }
+
+  function shared() {
+    const state = { pointer: [0, 0], keys: new Map(), slow: false, last: "0.00 0.00" };
+    const inForm = (target) => target.closest && target.closest("input, textarea, select, [role=slider]");
+    const onKey = (event, down) => {
+      state.slow = event.shiftKey;
+      if (!(event.code in ARROWS) || (down && inForm(event.target))) return;
+      if (down) state.keys.set(event.code, ARROWS[event.code]);
+      else state.keys.delete(event.code);
+      // Else the arrows would turn the camera too.
+      if (!inForm(event.target)) event.stopImmediatePropagation();
+    };
+    window.addEventListener("keydown", (event) => onKey(event, true), true);
+    window.addEventListener("keyup", (event) => onKey(event, false), true);
+    window.addEventListener("blur", () => state.keys.clear());
+    setInterval(() => send(state), PERIOD_MS);
+    return state;
+  }
+
+  function gamepad() {
+    const found = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find((pad) => pad && pad.connected);
+    if (!found) return [0, 0];
+    const direction = [-found.axes[1], -found.axes[0]];
+    return Math.hypot(...direction) < DEAD_ZONE ? [0, 0] : direction;
+  }
+
+  function direction(state) {
+    const pressed = [...state.keys.values()];
+    const share = state.slow ? 0.5 : 1;
+    const keys = [0, 1].map((axis) => share * pressed.reduce((sum, key) => sum + key[axis], 0));
+    const sum = [0, 1].map((axis) => state.pointer[axis] + keys[axis] + gamepad()[axis]);
+    const size = Math.max(1, Math.hypot(...sum));
+    return sum.map((value) => value / size);
+  }
+
+  function send(state) {
+    const field = textField();
+    if (!field) return;
+    const text = direction(state).map((value) => (Math.round(value * 50) / 50 || 0).toFixed(2)).join(" ");
+    // Only what changed here: another browser may be driving.
+    if (text !== state.last) write(field, text);
+    state.last = text;
+    const [forward, left] = field.value.split(" ").map(Number);
+    const knob = document.querySelector("[data-arrive-knob]");
+    if (knob) knob.setAttribute("transform", `translate(${-REACH * left} ${-REACH * forward})`);
+  }
+
+  const state = (window.arriveStick ??= shared());
+  const move = (event) => {
+    const box = pad.getBoundingClientRect();
+    const x = (event.clientX - box.left - box.width / 2) / REACH;
+    const y = (event.clientY - box.top - box.height / 2) / REACH;
+    const size = Math.max(1, Math.hypot(x, y));
+    state.pointer = [-y / size, -x / size];
+  };
+  const release = () => (state.pointer = [0, 0]);
+  pad.addEventListener("pointerdown", (event) => {
+    pad.setPointerCapture(event.pointerId);
+    move(event);
+  });
+  pad.addEventListener("pointermove", (event) => pad.hasPointerCapture(event.pointerId) && move(event));
+  for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) pad.addEventListener(end, release);
+})

@@ -1,0 +1,33 @@
+"""The stick on the page: what viser is told to show, and what comes back from it."""
+
+import html
+from pathlib import Path
+
+SCRIPT = Path(__file__).with_name("stick.js")
+CENTRE = "0.00 0.00"
+"""The text of a stick in its middle."""
+PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="
+"""A transparent picture. Markup that a page inserts does not run scripts, but an image's `onload` it does."""
+
+
+def stick_html() -> str:
+    """The pad with its knob, and the script that listens to it."""
+    script = html.escape(f"({SCRIPT.read_text()})(this.previousElementSibling)", quote=True)
+    return f"""
+<div style="display:flex;justify-content:center;padding:0.4em">
+  <svg data-arrive-pad width="132" height="132" viewBox="-66 -66 132 132" style="touch-action:none;cursor:grab">
+    <circle r="64" fill="rgba(128,128,128,0.14)" stroke="rgba(128,128,128,0.5)"/>
+    <path d="M0-58l6 9h-12z M0 58l6-9h-12z M-58 0l9 6v-12z M58 0l-9 6v-12z" fill="rgba(128,128,128,0.6)"/>
+    <g data-arrive-knob><circle r="18" fill="rgb(224,122,31)"/></g>
+  </svg>
+  <img src="{PIXEL}" alt="" style="display:none" onload="{script}"/>
+</div>"""
+
+
+def parse_stick(text: str) -> tuple[float, float] | None:
+    """Forward and left, -1 to 1, from the stick's text; None where it is not two numbers within these."""
+    try:
+        forward, left = (float(word) for word in text.split())
+    except ValueError:
+        return None
+    return (forward, left) if abs(forward) <= 1.0 and abs(left) <= 1.0 else None

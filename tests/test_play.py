@@ -1,0 +1,447 @@
+"""`arrive play` without a browser: the simulation behind the page, its clock, what is drawn, and what is refused."""
+
+import importlib.util
+import math
+import re
+import socket
+import threading
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from arrive import cli
+from arrive.deployment.policy_file import read_policy_file
+from arrive.errors import ArriveError
+from arrive.play import shapes
+from arrive.play.history import WINDOW_S, History
+from arrive.play.pace import LARGEST_DELAY_S, Pace
+from arrive.play.playground import LEVELS, TERRAIN_GROUP, Playground
+from arrive.play.stick import parse_stick
+from arrive.policies import SHIPPED, open_policy, shipped_file
+from arrive.terrain import FAMILIES
+from arrive.terrain.tile import RASTER_HALF, cell_index
+
+RUN = str(Path(__file__).parents[1] / "results" / "flat-1")
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def policy():
+    """The shipped policy."""
+    return open_policy()
+
+
+@pytest.fixture
+def playground(policy):
+    """A robot that stands on flat ground."""
+    return Playground(policy)
+
+
+def run(playground: Playground, seconds: float) -> None:
+    """Simulate some time."""
+    for _ in range(round(seconds / playground.control_dt)):
+        playground.step()
+
+
+def messages(playground: Playground) -> str:
+    """All that was said."""
+    return "\n".join(playground.messages)
+
+
+@pytest.mark.parametrize("place", [(2.5, 1.0), (-2.0, -1.5), (0.0, 3.0)])
+def test_the_shipped_policy_reaches_a_target_in_time(playground, place):
+    playground.send(*place, 6.0)
+    run(playground, 5.9)
+    assert playground.command.mode == "target"
+    assert not any("arrived" in message for message in playground.messages), "not judged before the time is over"
+    run(playground, 0.2)
+    assert math.dist(playground.robot.base_pos_w[:2], place) < 0.5
+    assert playground.messages[-1].startswith("arrived")
+    assert playground.falls == 0
+    assert playground.command.mode == "hold"
+
+
+def test_a_target_out_of_reach_is_missed(playground):
+    playground.send(6.0, 0.0, 1.0)
+    run(playground, 1.1)
+    assert playground.messages[-1].startswith("not there in time")
+
+
+def test_a_target_stays_on_known_ground_at_the_height_of_training(policy):
+    playground = Playground(policy, "stairs", 5)
+    playground.send(3.0, 0.0, 5.0)
+    ground = playground.hit(np.array([3.0, 0.0, 9.0]), DOWN)[2]
+    assert ground > 0.2
+    assert playground.target.position_w == pytest.approx((3.0, 0.0, ground + 0.5), abs=1e-6)
+    playground.send(100.0, -100.0, 5.0)
+    assert max(map(abs, playground.target.position_w[:2])) < RASTER_HALF
+
+
+@pytest.mark.parametrize("bad", [(math.nan, 0.0, 5.0), (1.0, math.inf, 5.0), (1.0, 0.0, 0.0), (1.0, 0.0, math.nan)])
+def test_a_target_that_is_none_is_refused(playground, bad):
+    with pytest.raises(ArriveError, match="a target needs"):
+        playground.send(*bad)
+    assert playground.target is None
+
+
+def test_a_target_in_a_hole_is_remarked_upon(policy):
+    playground = Playground(policy, "gap", LEVELS - 1)
+    x, y = np.argwhere(~playground.robot.tile.target_valid)[0]
+    center = (np.array([x, y]) + 0.5) * 0.05 - RASTER_HALF
+    playground.send(*center, 5.0)
+    assert "hole" in messages(playground)
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2])
+def test_the_stick_moves_the_robot_in_its_direction(playground, heading):
+    playground.drive(0.6, 0.0, heading)
+    run(playground, 2.5)
+    assert playground.command.mode == "joystick"
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    assert playground.robot.base_pos_w[:2] @ ahead > 0.8
+    playground.drive(0.0, 0.0)
+    run(playground, 0.1)
+    assert playground.command.mode == "stop"
+
+
+def test_the_stick_takes_over_from_a_target_only_when_it_is_moved(playground):
+    playground.send(2.0, 0.0, 5.0)
+    playground.drive(0.0, 0.0)
+    run(playground, 0.1)
+    assert playground.command.mode == "target"
+    playground.drive(0.0, 1.0)
+    run(playground, 0.1)
+    assert playground.command.mode == "joystick"
+    assert playground.target is None
+    assert math.isnan(playground.distance)
+
+
+def test_the_terrain_changes_under_the_robot(playground):
+    playground.send(2.0, 0.0, 5.0)
+    run(playground, 1.0)
+    above = np.array([3.0, 0.0, 9.0])
+    assert playground.hit(above, DOWN)[2] == pytest.approx(0.0)
+    playground.change_terrain("pit", 5)
+    assert playground.hit(above, DOWN)[2] != pytest.approx(0.0)
+    assert playground.target is None
+    assert np.hypot(*playground.robot.base_pos_w[:2]) == 0.0
+    run(playground, 0.5)
+    assert playground.command.mode == "stop"
+    assert "pit" in playground.ground
+
+
+@pytest.mark.parametrize(("terrain", "level"), [("moon", 0), ("gap", LEVELS), ("gap", -1)])
+def test_an_unknown_terrain_changes_nothing(playground, terrain, level):
+    robot = playground.robot
+    with pytest.raises(ArriveError):
+        playground.change_terrain(terrain, level)
+    assert (playground.robot, playground.terrain) == (robot, "flat")
+
+
+@pytest.mark.parametrize("terrain", FAMILIES)
+def test_every_terrain_can_be_stood_on(policy, terrain):
+    playground = Playground(policy, terrain, LEVELS - 1)
+    run(playground, 0.3)
+    assert playground.command.mode == "stop", playground.command.reason
+    assert playground.falls == 0
+
+
+def test_a_push_changes_the_velocity_at_once(playground):
+    before = playground.robot.base_lin_vel_w
+    playground.push(1.5)
+    assert np.linalg.norm((playground.robot.base_lin_vel_w - before)[:2]) == pytest.approx(1.5)
+    run(playground, 2.0)
+    assert playground.falls == 0
+
+
+def overturn(playground: Playground) -> None:
+    playground.robot.data.qpos[3:7] = (0.0, 1.0, 0.0, 0.0)
+
+
+def drop(playground: Playground) -> None:
+    playground.robot.data.qpos[2] = playground.robot.tile.fall_height - 0.1
+
+
+def carry_away(playground: Playground) -> None:
+    playground.robot.data.qpos[0] = 100.0
+
+
+@pytest.mark.parametrize(
+    ("terrain", "accident", "said"),
+    [("flat", overturn, "fell over"), ("gap", drop, "hole"), ("rough", carry_away, "walked off")],
+)
+def test_a_robot_that_cannot_go_on_is_put_back(policy, terrain, accident, said):
+    playground = Playground(policy, terrain)
+    playground.send(2.0, 0.0, 5.0)
+    run(playground, 0.5)
+    accident(playground)
+    for _ in range(100):
+        playground.step()
+        if playground.falls:
+            break
+    assert playground.falls == 1
+    assert said in playground.messages[-1]
+    assert playground.robot.base_pos_w == pytest.approx([0.0, 0.0, playground.robot.robot.standing_height], abs=0.05)
+    assert playground.target is None
+    clock = playground.time_s
+    playground.send(2.0, 0.0, 5.0)
+    run(playground, 0.2)
+    assert playground.time_s > clock, "the clock never goes back, or the controller would refuse to act"
+    assert playground.command.mode == "target"
+
+
+def test_reset_puts_the_robot_back(playground):
+    playground.drive(1.0, 0.0, 0.0)
+    run(playground, 1.0)
+    assert playground.robot.base_pos_w[0] > 0.1
+    playground.reset()
+    assert playground.robot.base_pos_w[0] == 0.0
+    assert playground.falls == 0
+
+
+def test_readings_are_those_of_the_robot(playground):
+    run(playground, 1.0)
+    reading = playground.read()
+    assert reading.contact.all()
+    weight = mujoco.mj_getTotalmass(playground.robot.model) * 9.81
+    assert 0.05 * weight < np.abs(reading.torque).sum() < weight, "12 drives hold 52 kg on legs half a metre long"
+    playground.send(3.0, 0.0, 5.0)
+    run(playground, 2.0)
+    reading = playground.read()
+    assert reading.speed > 0.2
+    assert 0.5 < reading.distance < 3.0
+
+
+def test_two_sessions_with_the_same_seed_are_the_same(policy):
+    places = []
+    for _ in range(2):
+        playground = Playground(policy, "steps", 2, seed=4)
+        playground.drive(0.5, 0.5, 0.0)
+        playground.push(1.0)
+        run(playground, 1.0)
+        places.append(playground.robot.base_pos_w)
+    np.testing.assert_array_equal(*places)
+
+
+# Time.
+
+
+def simulate(pace: Pace, seconds: float, tick_s: float, start_s: float = 100.0) -> int:
+    """Steps made while the wall's clock goes on by `seconds`, looked at every `tick_s`."""
+    return sum(pace.steps_due(start_s + i * tick_s) for i in range(round(seconds / tick_s) + 1))
+
+
+@pytest.mark.parametrize(("factor", "steps"), [(1.0, 500), (0.3, 150), (0.0, 0)])
+def test_time_can_be_slowed_and_stopped(factor, steps):
+    pace = Pace(0.02)
+    pace.factor = factor
+    assert simulate(pace, 10.0, 0.0031) == pytest.approx(steps, abs=1)
+    assert pace.dropped_s == 0.0
+
+
+def test_what_cannot_be_kept_up_with_is_dropped_and_counted():
+    pace = Pace(0.02)
+    pace.steps_due(0.0)
+    assert pace.steps_due(5.0) == round(LARGEST_DELAY_S / 0.02)
+    assert pace.dropped_s == pytest.approx(5.0 - LARGEST_DELAY_S)
+    assert pace.asked_s == pytest.approx(5.0)
+
+
+def test_the_plots_show_the_last_seconds(playground):
+    history = History(0.02)
+    for _ in range(round(WINDOW_S / 0.02) + 10):
+        playground.step()
+        history.append(playground.read())
+    assert np.ptp(history.time_s) == pytest.approx(WINDOW_S, abs=0.05)
+    assert history.time_s[-1] == playground.time_s
+    assert history.torque.shape == (len(history.time_s), 12)
+    assert history.contact.shape == (len(history.time_s), 4)
+    assert not history.distance.any(), "there was no target"
+
+
+@pytest.mark.parametrize(
+    ("text", "stick"),
+    [("0.50 -1.00", (0.5, -1.0)), ("1 0", (1.0, 0.0))]
+    + [(text, None) for text in ("", "1", "nan 0", "0 nan", "2 0", "a b", "0 0 0")],
+)
+def test_the_sticks_text(text, stick):
+    assert parse_stick(text) == stick
+
+
+# What is drawn.
+
+
+def volume(mesh: shapes.Triangles) -> float:
+    """Enclosed volume; positive only where all triangles face outwards (divergence theorem)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "expected"),
+    [
+        (shapes.box((0.1, 0.2, 0.3)), 8 * 0.1 * 0.2 * 0.3),
+        (shapes.cylinder(0.1, 0.3), math.pi * 0.1**2 * 0.6),
+        (shapes.capsule(0.1, 0.3), math.pi * 0.1**2 * (0.6 + 4 / 3 * 0.1)),
+        (shapes.capsule(0.1, 0.0), 4 / 3 * math.pi * 0.1**3),
+    ],
+)
+def test_surfaces_are_closed_and_face_outwards(mesh, expected):
+    assert volume(mesh) == pytest.approx(expected, rel=0.03)
+
+
+def test_a_links_meshes_are_where_its_geoms_are(playground):
+    scene = pytest.importorskip("arrive.play.scene")
+    model, data = playground.robot.model, playground.robot.data
+    run(playground, 0.4)
+    mujoco.mj_kinematics(model, data)
+    shank = model.body("RH_SHANK").id
+    mesh = shapes.joined(list(scene.link_meshes(model, shank, 2).values()))
+    drawn = mesh.vertices @ data.xmat[shank].reshape(3, 3).T + data.xpos[shank]
+    foot = data.site("RH_FOOT").xpos
+    assert np.linalg.norm(drawn - foot, axis=1).min() < 0.031, "the foot is welded to the shank and drawn with it"
+    assert drawn[:, 2].min() == pytest.approx(foot[2] - 0.03, abs=0.005)
+
+
+@pytest.mark.parametrize("terrain", ["rough", "stairs", "slope_down", "gap"])
+def test_the_drawn_ground_is_the_one_walked_on(policy, terrain):
+    scene = pytest.importorskip("arrive.play.scene")
+    playground = Playground(policy, terrain, 4)
+    mesh = shapes.joined(list(scene.link_meshes(playground.robot.model, 0, TERRAIN_GROUP).values()))
+    assert mesh.vertices[:, 2].min() > scene.PARKED_BELOW
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    up = np.flatnonzero(np.cross(b - a, c - a)[:, 2] > 1e-9)
+    assert len(up) >= 6
+    for k in up[:: max(1, len(up) // 40)]:
+        inside = 0.4 * a[k] + 0.3 * b[k] + 0.3 * c[k]
+        assert playground.hit(inside - 1e-4 * DOWN, DOWN)[2] == pytest.approx(inside[2], abs=2e-4)
+
+
+def test_lines_lie_on_the_ground(policy):
+    scene = pytest.importorskip("arrive.play.scene")
+    tile = Playground(policy, "pit", 6).robot.tile
+    ends = scene.draped_lines(tile).reshape(-1, 3)
+    heights = tile.heights[cell_index(ends[:, 0] + 1e-9), cell_index(ends[:, 1] + 1e-9)]
+    np.testing.assert_allclose(ends[:, 2] - scene.LINE_LIFT, heights, atol=1e-6)
+
+
+# Policies by name.
+
+
+def test_shipped_policies_have_names_and_files():
+    folder = shipped_file("flat").parent
+    assert {path.stem for path in folder.glob("*.onnx")} == set(SHIPPED)
+
+
+def test_the_default_policy_is_what_the_results_hold(tmp_path):
+    weights = open_policy().meta["weights"]
+    assert open_policy("flat").meta["weights"] == weights
+    assert open_policy(RUN).meta["weights"] == weights
+    assert open_policy(f"{RUN}/policy.pt").meta["weights"] == weights
+    copy = tmp_path / "copy.onnx"
+    copy.write_bytes(shipped_file("flat").read_bytes())
+    assert open_policy(str(copy)).meta["weights"] == read_policy_file(copy).meta["weights"] == weights
+
+
+def test_an_unknown_policy_names_the_shipped_ones():
+    with pytest.raises(ArriveError, match=r"no policy 'flta'.*shipped policy: flat"):
+        open_policy("flta")
+
+
+def test_list_names_the_shipped_policies(capsys):
+    cli.main(["list", "policies"])
+    out = capsys.readouterr().out
+    assert all(name in out for name in SHIPPED)
+
+
+# The command and the thread behind the page.
+
+
+def refused(capsys, *arguments: str) -> str:
+    """The one line with which `arrive play` ends."""
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["play", *arguments])
+    err = capsys.readouterr().err
+    assert stopped.value.code == 1
+    assert err.startswith("arrive: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize("missing", ["viser", "onnxruntime"])
+def test_missing_packages_are_named_with_the_remedy(capsys, monkeypatch, missing):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else find(name))
+    said = refused(capsys)
+    assert missing in said
+    assert "pip install 'arrive[play]'" in said
+
+
+def test_a_port_in_use_is_an_error(capsys):
+    pytest.importorskip("viser")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = refused(capsys, "--port", str(port))
+    assert f"port {port}" in said
+    assert "--port" in said
+
+
+@pytest.mark.parametrize("arguments", [("--port", "99999"), ("--host", "192.0.2.1")])
+def test_an_impossible_address_is_an_error(capsys, arguments):
+    pytest.importorskip("viser")
+    assert arguments[1] in refused(capsys, *arguments)
+
+
+def test_the_command_serves_and_says_whether_it_kept_real_time(capsys):
+    pytest.importorskip("viser")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    cli.main(["play", "--port", str(port), "--seconds", "0.5", "--terrain", "gap", "--level", "2"])
+    out = capsys.readouterr().out
+    assert f"http://127.0.0.1:{port}" in out
+    assert re.search(r"simulated \d+\.\d% of the 0\.\d s asked for; falls: 0", out)
+
+
+def test_nothing_is_drawn_again_unless_it_changed():
+    ticker_type = pytest.importorskip("arrive.play.session").Ticker
+    drawn = []
+    ticker = ticker_type(0.1, lambda: drawn.append(1))
+    for now_s, state in ((0.0, "a"), (0.05, "b"), (0.11, "b"), (0.3, "b"), (0.5, "c")):
+        ticker.tick(now_s, state)
+    assert len(drawn) == 3, "at once, when due after the change to b, and at c"
+
+
+def test_what_the_command_is_asked_is_checked(capsys):
+    pytest.importorskip("viser")
+    assert "Valid:" in refused(capsys, "--terrain", "moon")
+    assert "levels are" in refused(capsys, "--terrain", "gap", "--level", "10")
+    assert "shipped" in refused(capsys, "nothing")
+
+
+def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):
+    session_module = pytest.importorskip("arrive.play.session")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    server = session_module.open_server("127.0.0.1", port)
+    stop = threading.Event()
+    session = session_module.Session(server, playground)
+    thread = threading.Thread(target=session.run, args=(stop,))
+    thread.start()
+    try:
+        session.post(lambda playground: playground.send(math.nan, 0.0, 1.0))
+        session.post(lambda playground: playground.change_terrain("gap", 2))
+        session.post(lambda playground: playground.drive(0.5, 0.0))
+        deadline = time.monotonic() + 10.0
+        while playground.command.mode != "joystick" and time.monotonic() < deadline:
+            time.sleep(0.05)
+    finally:
+        stop.set()
+        thread.join()
+        server.stop()
+    assert playground.command.mode == "joystick"
+    assert playground.terrain == "gap"
+    assert "a target needs" in messages(playground)
+    assert session.pace.asked_s > 0.0

@@ -1,0 +1,271 @@
+"""`arrive play` from end to end: the page in headless Chromium, used as a person would."""
+
+import base64
+import io
+import math
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from arrive.play.playground import Playground
+from arrive.policies import open_policy
+
+session = pytest.importorskip("arrive.play.session", reason="viser is not installed")
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="there is no chromium with its chromedriver"),
+]
+OPTIONS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1150,640",
+]
+PATIENCE_S = 40.0
+STICK_TRAVEL_PX = 46
+
+
+class Stage:
+    """A running session and the browsers that look at it."""
+
+    def __init__(self, folder):
+        """Serve flat ground on a free port, without shadows and with few pictures a second: a CPU has to draw them."""
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.folder = folder
+        self.playground = Playground(open_policy())
+        self.server = session.open_server("127.0.0.1", self.port)
+        self.session = session.Session(self.server, self.playground)
+        self.server.scene.configure_default_lights(cast_shadow=False)
+        self.server.scene.configure_environment_map(None)
+        self.browsers = []
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.session.run, args=(self._stop,))
+        self._thread.start()
+
+    def open_page(self):
+        """A new browser that has loaded the page."""
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for option in (*OPTIONS, f"--user-data-dir={self.folder / str(len(self.browsers))}"):
+            options.add_argument(option)
+        browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.browsers.append(browser)
+        # Fewer pixels, for the same reason.
+        browser.get(f"http://127.0.0.1:{self.port}/?fixedDpr=0.4")
+        wait_for_page(browser)
+        return browser
+
+    def close(self):
+        """End browsers, thread and server."""
+        for browser in self.browsers:
+            browser.quit()
+        self._stop.set()
+        self._thread.join()
+        self.server.stop()
+
+
+def wait_until(condition: Callable[[], object], what: str) -> None:
+    """Wait for something to become true."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, f"waited {PATIENCE_S:g} s in vain: {what}"
+        time.sleep(0.05)
+
+
+def wait_for_page(browser) -> None:
+    wait_until(lambda: browser.execute_script("return !!window.arriveStick"), "the page's controls")
+    wait_until(lambda: shows_robot(browser), "a picture with the robot")
+    # That the picture is drawn by a CPU is known, and the note that says so lies over it.
+    for note in browser.find_elements("css selector", "[class*=Notification-closeButton]"):
+        note.click()
+
+
+def picture(browser) -> np.ndarray:
+    """(height, width, 3) what the canvas shows, 0 to 255."""
+    url = browser.execute_script("return document.querySelector('canvas[data-engine]').toDataURL('image/png')")
+    image = Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
+    return np.asarray(image.convert("RGB"), dtype=float)
+
+
+def shows_robot(browser) -> bool:
+    """Whether enough of the picture is as red as the robot's shell."""
+    red, green, blue = np.moveaxis(picture(browser), -1, 0)
+    return ((red > 60) & (red > 2 * green) & (red > 2 * blue)).mean() > 0.0012
+
+
+def text(browser) -> str:
+    return browser.execute_script("return document.body.innerText")
+
+
+def inputs(browser) -> list[str]:
+    return browser.execute_script("return [...document.querySelectorAll('input')].map((input) => input.value)")
+
+
+def actions(browser):
+    return webdriver.ActionChains(browser, duration=50)
+
+
+def hold(browser, forward: float, left: float) -> None:
+    """Take the stick's knob and pull it."""
+    pad = browser.find_element("css selector", "[data-arrive-pad]")
+    offset = (round(-STICK_TRAVEL_PX * left), round(-STICK_TRAVEL_PX * forward))
+    actions(browser).move_to_element(pad).click_and_hold().move_by_offset(*offset).perform()
+
+
+def pixel(stage: Stage, browser, point: tuple[float, float, float]) -> tuple[int, int]:
+    """Where a browser shows a point of the world, on the page [px]."""
+    (client,) = stage.server.get_clients().values()
+    camera, box = (
+        client.camera,
+        browser.execute_script(
+            "const box = document.querySelector('canvas[data-engine]').getBoundingClientRect();"
+            "return [box.left, box.top, box.width, box.height]"
+        ),
+    )
+    ahead = camera.look_at - camera.position
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    way = np.array(point) - camera.position
+    scale = box[3] / 2 / math.tan(camera.fov / 2) / (way @ ahead)
+    down = np.cross(ahead, right)
+    return round(box[0] + box[2] / 2 + scale * (way @ right)), round(box[1] + box[3] / 2 + scale * (way @ down))
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory) -> Iterator[Stage]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "DRAW_PERIOD_S", 0.25)
+        stage = Stage(tmp_path_factory.mktemp("browsers"))
+        try:
+            stage.open_page()
+            yield stage
+        finally:
+            stage.close()
+
+
+@pytest.fixture
+def browser(stage):
+    """The first browser; the robot stands at the start on flat ground."""
+    stage.session.post(lambda playground: playground.change_terrain("flat", 0))
+    wait_until(lambda: stage.playground.terrain == "flat" and stage.playground.command.mode == "stop", "the start")
+    return stage.browsers[0]
+
+
+def test_the_page_shows_the_robot_and_how_it_is(browser):
+    shown = picture(browser)
+    assert shown.reshape(-1, 3).std(axis=0).min() > 10.0, "the canvas is not uniform"
+    for word in ("stop", "flat ground", "Speed and distance", "Torques", "Feet on the ground", "Push (P)", "Reset (R)"):
+        assert word in text(browser)
+
+
+def test_a_click_on_the_ground_sends_the_robot_there(stage, browser):
+    x, y = pixel(stage, browser, (1.5, -0.8, 0.0))
+    click = actions(browser)
+    click.w3c_actions.pointer_action.move_to_location(x, y).click()
+    click.perform()
+    wait_until(lambda: stage.playground.target, "the target")
+    assert stage.playground.target.position_w[:2] == pytest.approx((1.5, -0.8), abs=0.1)
+    wait_until(lambda: "arrived:" in text(browser), "the robot at its target")
+
+
+def test_the_target_can_be_dragged(stage, browser):
+    stage.session.post(lambda playground: playground.send(1.5, 0.0, 5.0))
+    wait_until(lambda: stage.playground.target, "the target")
+    height = stage.playground.target.position_w[2]
+    first = stage.playground.target
+    start, end = (pixel(stage, browser, (x, 0.0, height)) for x in (1.95, 1.25))
+    drag = actions(browser)
+    pointer = drag.w3c_actions.pointer_action
+    pointer.move_to_location(*start).pointer_down()
+    for share in (0.3, 0.6, 1.0):
+        pointer.move_to_location(*(round(a + share * (b - a)) for a, b in zip(start, end, strict=True)))
+    pointer.pointer_up()
+    drag.perform()
+    wait_until(lambda: stage.playground.target is not first, "the target elsewhere")
+    x, y, z = stage.playground.target.position_w
+    assert 0.4 < x < 1.2
+    assert (y, z) == pytest.approx((0.0, height), abs=1e-3)
+
+
+def test_terrain_and_level_change(stage, browser):
+    before = picture(browser)
+    choice = next(
+        element
+        for element in browser.find_elements("css selector", "input")
+        if element.get_attribute("value") == "flat"
+    )
+    choice.click()
+    wait_until(lambda: browser.find_elements("xpath", "//*[@role='option'][.='gap']"), "the list of terrains")
+    browser.find_element("xpath", "//*[@role='option'][.='gap']").click()
+    wait_until(lambda: stage.playground.terrain == "gap", "the terrain")
+    level = browser.find_element("xpath", "//label[.='Level']/following::input[@type='text'][1]")
+    level.send_keys("\b3\n")
+    wait_until(lambda: stage.playground.level == 3, "the level")
+    wait_until(lambda: "a gap to leap over, width 0.53 m" in text(browser), "the ground in words")
+    wait_until(lambda: np.abs(picture(browser) - before).mean() > 5.0, "other ground in the picture")
+
+
+def test_the_stick_drives_until_it_is_let_go(stage, browser):
+    hold(browser, 0.6, 0.0)
+    wait_until(lambda: stage.playground.command.mode == "joystick", "the stick")
+    # The camera looks along (1, 1): away from the person.
+    wait_until(lambda: stage.playground.robot.base_pos_w[:2].sum() > 0.7, "the robot on its way")
+    actions(browser).release().perform()
+    wait_until(lambda: stage.playground.command.mode == "stop", "the stick let go")
+
+
+def test_arrow_keys_drive_and_leave_the_camera_alone(stage, browser):
+    (client,) = stage.server.get_clients().values()
+    camera = client.camera.position
+    actions(browser).key_down("\ue013").perform()
+    wait_until(lambda: stage.playground.robot.base_pos_w[:2].sum() > 0.5, "the robot on its way")
+    actions(browser).key_up("\ue013").perform()
+    wait_until(lambda: stage.playground.command.mode == "stop", "the key let go")
+    np.testing.assert_array_equal(client.camera.position, camera)
+
+
+def test_a_gamepad_in_the_browser_drives(stage, browser):
+    pad = "navigator.getGamepads = () => [null, { connected: true, axes: [%s, %s] }]"
+    browser.execute_script(pad % (0.05, -0.05))
+    time.sleep(0.3)
+    assert stage.playground.command.mode == "stop", "a stick is never exactly in its middle"
+    browser.execute_script(pad % (0.0, -0.7))
+    wait_until(lambda: stage.playground.robot.base_pos_w[:2].sum() > 0.5, "the robot on its way")
+    browser.execute_script("navigator.getGamepads = () => []")
+    wait_until(lambda: stage.playground.command.mode == "stop", "the gamepad let go")
+
+
+def test_two_browsers_share_the_robot_and_a_reload_keeps_it(stage, browser):
+    stage.session.post(lambda playground: playground.change_terrain("pit", 1))
+    other = stage.open_page()
+    hold(other, 0.0, 0.6)
+    wait_until(lambda: stage.playground.command.mode == "joystick", "the stick of the second browser")
+    for page in (browser, other):
+        wait_until(lambda page=page: "joystick" in text(page), "what the robot does, in both browsers")
+    assert inputs(browser).count("0.00 0.60") == 1, "the first browser shows the second one's stick"
+    other.quit()
+    stage.browsers.remove(other)
+    wait_until(lambda: stage.playground.command.mode == "stop", "the stick of a browser that is gone let go")
+    clock = stage.playground.time_s
+    browser.refresh()
+    wait_for_page(browser)
+    wait_until(lambda: "a pit to climb out of" in text(browser), "the same ground")
+    assert stage.playground.time_s > clock
+    assert len(stage.server.get_clients()) == 1
