@@ -56,4 +56,5 @@ def _chart(
         scales={"x": {"time": False, "range": (-WINDOW_S, 0.0)}, "y": scale},
         legend={"show": legend, "live": False},
         height=HEIGHT,
+        padding=(10, 24, 0, 0),
     )
