@@ -143,6 +143,23 @@ def test_stand_reward_is_earned_at_rest_at_the_target_in_the_window():
     assert 0.0 < earned(1.0, 0.0, 0.0) < earned(0.5, 0.0, 0.0) < 0.5
 
 
+@pytest.mark.parametrize(
+    ("speed", "distance", "time_left_s", "expected"),
+    [
+        (0.5, 2.0, 5.0, 1.0),  # 2 m in the 4 s before the window
+        (0.25, 2.0, 5.0, 0.5),
+        (0.75, 2.0, 5.0, 0.5),  # faster than needed
+        (1.5, 2.0, 5.0, 0.0),
+        (-0.5, 2.0, 5.0, -1.0),
+        (0.75, 4.0, 1.0, 0.5),  # late: at most 1.5 m/s is asked for
+        (9.0, 0.4, 5.0, 1.0),  # there
+    ],
+)
+def test_pace_reward_is_full_at_the_speed_that_arrives_in_time(speed, distance, time_left_s, expected):
+    state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=(speed, 0.0, 0.0))
+    assert value_of("pace", state, a_command((distance, 0.0, 0.0), time_left_s)) == pytest.approx(expected)
+
+
 def test_short_step_cost_is_what_the_time_in_the_air_of_landing_feet_lacks_of_half_a_second():
     landed = (0.0, 0.1, 0.5, 0.9)  # the first has not landed just now
     assert value_of("short_step_cost", a_state(foot_landed_s=landed), a_command()) == pytest.approx(0.4)
@@ -151,7 +168,7 @@ def test_short_step_cost_is_what_the_time_in_the_air_of_landing_feet_lacks_of_ha
 def test_no_term_is_without_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
-    tested |= {"short_step_cost"}
+    tested |= {"short_step_cost", "pace"}
     assert set(REWARDS) == tested | {"action_rate_cost", "foot_acc_cost", "approach", "stand", "tilt_cost"}
     assert all(getattr(rewards, name) is function for name, function in REWARDS.items())
 

@@ -20,7 +20,7 @@ from arrive.task.targets import sample_targets
 from arrive.task.task import Start, Trial
 from arrive.terrain import FAMILIES, build_tile
 from arrive.terrain.pool import Rasters
-from arrive.terrain.tile import RASTER_SIZE, Tile, cell_index
+from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_index
 
 MANY = 20_000
 START = (0.15, -0.2, 0.6)
@@ -121,6 +121,49 @@ def a_task(tile: Tile, n: int, config: TaskConfig = TASK, **options) -> FinalPos
 
 def begin(task: FinalPositionTask, n: int, first: bool = False) -> None:
     task.new_command(Start(torch.arange(n), starts(n), torch.zeros(n, dtype=torch.long)), first)
+
+
+class TestRetargeting:
+    """Another target on the way, where it is asked for."""
+
+    def test_happens_as_often_as_asked_for_and_gives_a_whole_new_time(self):
+        task = a_task(tile_of("flat"), MANY, replace(TASK, retarget_s=2.0))
+        begin(task, MANY)
+        task.advance(3.0)
+        before = task.command.target_w.clone()
+        task.follow(a_state(MANY, base_pos_w=torch.tensor([[3.0, 1.0, 0.6]]).expand(MANY, 3)))
+        moved = (task.command.target_w != before).any(-1)
+        assert float(moved.float().mean()) == pytest.approx(0.02 / 2.0, rel=0.5)
+        assert task.command.time_left_s[moved].tolist() == pytest.approx([6.0] * int(moved.sum()))
+        assert task.command.time_left_s[~moved].tolist() == pytest.approx([3.0] * int((~moved).sum()))
+        offset = task.command.target_w[moved, :2] - torch.tensor([3.0, 1.0])
+        assert float(offset.norm(dim=-1).min()) >= 1.0 - 1e-5
+        assert float(offset.norm(dim=-1).max()) <= 5.0 + 1e-5
+
+    def test_never_happens_unless_asked_for_nor_in_a_trial(self):
+        trial = Trial(duration_s=8.0, target=(5.0, 0.0), speed=1.0, walk=4.0)
+        for task in (
+            a_task(tile_of("flat"), 50),
+            a_task(tile_of("flat"), 50, replace(TASK, retarget_s=0.02), trial=trial),
+        ):
+            begin(task, 50)
+            before = task.command.target_w.clone()
+            task.follow(a_state(50))
+            assert torch.equal(task.command.target_w, before)
+
+    def test_a_target_beyond_a_gap_does_not_count_for_a_robot_that_is_beyond_it_already(self):
+        task = a_task(tile_of("gap"), 400, replace(TASK, retarget_s=0.02))
+        for x, counting in ((0.0, True), (4.0, False)):
+            begin(task, 400)
+            task.follow(a_state(400, base_pos_w=torch.tensor([[x, 0.0, 0.6]]).expand(400, 3)))
+            assert bool(task.command.counts.any()) == counting
+
+    def test_targets_stay_on_the_tile(self):
+        tile = tile_of("flat")
+        corner = torch.tensor([[6.0, 6.0, 0.6]]).expand(MANY, 3)
+        ids, generator = torch.zeros(MANY, dtype=torch.long), torch.Generator().manual_seed(0)
+        targets = sample_targets(rasters_of(tile), ids, corner, TASK, generator)
+        assert float(targets[:, :2].abs().max()) < RASTER_HALF - 0.4
 
 
 class TestCommand:

@@ -78,12 +78,15 @@ class TaskConfig:
     """A robot this close to its target at the end has arrived [m]."""
     target_distance: tuple[float, float] = (1.0, 5.0)
     """Distance of targets from the start, uniform [m]."""
+    retarget_s: float = 0.0
+    """Mean time after which a robot in training gets another target and the time for it, without an end of the episode;
+    0 for never [s]."""
     target_height: float = 0.5
     """Height of targets above the ground [m]."""
     rewards: dict[str, float] = field(default_factory=dict)
     """Weight of each reward term, by name; costs have negative weights."""
     exploration_until: float = 0.5
-    """`exploration` and `approach` go once the task reward, inside its window, reaches this share of its maximum."""
+    """`exploration`, `approach` and `pace` go once the task reward in its window is this share of its maximum."""
     exploration_kept: float = 0.0
     """Share of the exploration rewards that stays after that."""
     approach_speed: float = 1.0

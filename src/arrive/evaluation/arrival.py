@@ -133,7 +133,7 @@ def evaluate(
     """Measure the success rate on terrain that the policy was not trained on.
 
     But for the setting, commands, noise, friction, payload and pushes are those of its training; every episode has
-    the full length.
+    the full length and one target.
 
     Args:
         episodes: per cell.
@@ -181,7 +181,7 @@ def _environment(
         seed=seed,
         terrain=replace(config.terrain, families=tuple(families), variants=setting.variants or config.terrain.variants),
         randomisation=setting.randomise(config.randomisation),
-        task=replace(config.task, episode_min_s=config.task.episode_s),
+        task=replace(config.task, episode_min_s=config.task.episode_s, retarget_s=0.0),
     )
     placement = Placement(
         layout=setting.layout,

@@ -98,7 +98,18 @@ class FinalPositionTask:
         return torch.cat([point, ground + self._config.target_height], dim=-1)
 
     def follow(self, state: State) -> None:
-        """Nothing of the way counts, only its end."""
+        """Nothing of the way counts, only its end; at random moments another target takes the place of the present one.
+
+        Where it lies beyond the terrain that the robot has already crossed it does not count for the curriculum.
+        """
+        if self._trial is not None or self._config.retarget_s <= 0.0:
+            return
+        draw = torch.rand(len(self._tile_ids), generator=self._generator, device=self._tile_ids.device)
+        ids = (draw < self._dt / self._config.retarget_s).nonzero().squeeze(-1)
+        if len(ids):
+            here, tiles = state.base_pos_w[ids], self._tile_ids[ids]
+            self.new_command(Start(ids, here, tiles), first=False)
+            self._command.counts[ids] &= ~look_up(self._rasters.crossing, tiles, here[:, None, :2]).squeeze(1)
 
     def advance(self, dt: float) -> Tensor:
         self._command.time_left_s -= dt

@@ -16,6 +16,10 @@ STALL_SPEED = 0.1
 """A base slower than this is waiting (paper, eq. 4) [m/s]."""
 STALL_DISTANCE = 0.5
 """Waiting farther from the target than this is stalling (paper, eq. 4) [m]."""
+PACES = (0.3, 1.5)
+"""Slowest and fastest speed that the `pace` reward asks for [m/s]."""
+LEAST_TIME_S = 0.2
+"""Less remaining time than this is taken for this much [s]."""
 AIR_TIME_S = 0.5
 """How long a foot should be in the air in one step (legged_gym) [s]."""
 
@@ -97,6 +101,23 @@ def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
     return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
 
 
+def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
+    """Speed towards the target over what arriving by the start of the reward window takes. Not in the paper.
+
+    It grows up to that speed and falls again beyond it, so that a robot with time to spare earns by taking it.
+
+    Returns:
+        (n,) share, -1 to 1; 1 within the arrival radius.
+    """
+    offset = (command.target_w - state.base_pos_w)[:, :2]
+    distance = offset.norm(dim=-1)
+    speed = (state.base_lin_vel_w[:, :2] * offset).sum(-1) / distance.clamp(min=1e-6)
+    time_s = (command.time_left_s - config.reward_window_s).clamp(min=LEAST_TIME_S)
+    share = speed / (distance / time_s).clamp(*PACES)
+    share = torch.where(share > 1.0, (2.0 - share).clamp(min=0.0), share.clamp(min=-1.0))
+    return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
+
+
 def short_step_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Sum over the feet that have just landed of what their time in the air lacked of 0.5 s, (n,) [s].
 
@@ -140,11 +161,12 @@ REWARDS: dict[str, RewardFunction] = {
     "exploration": exploration,
     "stall_cost": stall_cost,
     "approach": approach,
+    "pace": pace,
     "stand": stand,
     "short_step_cost": short_step_cost,
 } | MOTION_COSTS
 """Terms of the tasks that send robots to places."""
-EXPLORATION_REWARDS = ("exploration", "approach")
+EXPLORATION_REWARDS = ("exploration", "approach", "pace")
 """Terms that lead the way to the target and are removed, or weakened, once it is found."""
 CRASH_COST = "crash_cost"
 """Paid once, at a crash, its weight not multiplied by the time step."""

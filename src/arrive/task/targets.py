@@ -9,10 +9,13 @@ from arrive.config import TaskConfig
 from arrive.errors import ArriveError
 from arrive.task.heights import look_up
 from arrive.terrain.pool import Rasters
+from arrive.terrain.tile import RASTER_HALF
 
 MAX_TRIES = 32
 """Candidates drawn per target. At least a quarter of them are valid on any tile that `build_tile` lets pass, so that
 all fail with odds of at most 0.75^32, one in ten thousand; a fixed sweep then finds a valid point."""
+EDGE = 0.5
+"""Targets stay this far from the edge of the tile's raster [m]."""
 
 
 def sample_targets(
@@ -22,7 +25,7 @@ def sample_targets(
 
     Args:
         tile_ids: (n,) rasters of the robots' tiles.
-        start_w: (n, 3) positions of the bases at the start [m].
+        start_w: (n, 3) where the bases are [m].
 
     Returns:
         (n, 3) targets, `target_height` above the ground [m].
@@ -34,7 +37,7 @@ def sample_targets(
     angle = 2.0 * math.pi * torch.rand(shape, generator=generator, device=device)
     offset = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], dim=-1)
     candidates = start_w[:, None, :2] + offset
-    valid = look_up(rasters.target_valid, tile_ids, candidates)
+    valid = _on_valid_ground(rasters, tile_ids, candidates)
     # The first valid candidate; argmax of a bool row is its first True.
     chosen = valid.to(torch.uint8).argmax(-1)
     targets = candidates[torch.arange(len(tile_ids), device=device), chosen]
@@ -43,6 +46,12 @@ def sample_targets(
         targets[none] = _any_valid(rasters, tile_ids[none], start_w[none], config)
     ground = look_up(rasters.heights, tile_ids, targets.unsqueeze(1)).squeeze(1)
     return torch.cat([targets, (ground + config.target_height).unsqueeze(-1)], dim=-1)
+
+
+def _on_valid_ground(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
+    """(n, k) bool: a target may stand at (n, k, 2) points; none may beyond the raster or at its edge."""
+    inside = (points.abs() < RASTER_HALF - EDGE).all(-1)
+    return inside & look_up(rasters.target_valid, tile_ids, points)
 
 
 def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TaskConfig) -> Tensor:
@@ -55,7 +64,7 @@ def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Task
     )
     sweep = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], dim=-1).view(1, -1, 2)
     candidates = start_w[:, None, :2] + sweep
-    valid = look_up(rasters.target_valid, tile_ids, candidates)
+    valid = _on_valid_ground(rasters, tile_ids, candidates)
     if not valid.any(-1).all():
         raise ArriveError("a terrain tile offers no valid target within the target distance")
     return candidates[torch.arange(len(tile_ids), device=device), valid.to(torch.uint8).argmax(-1)]
