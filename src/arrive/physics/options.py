@@ -35,6 +35,8 @@ class PhysicsConfig:
     """Time constant of contacts, at least two physics steps [s]."""
     contact_impedance: float = 0.97
     """How hard contacts are, 0 to 1: the softer, the faster a standing robot's feet creep."""
+    max_contacts: int = 64
+    """Contacts per robot for which MuJoCo Warp makes room; the CPU engine needs no bound."""
 
     @property
     def control_dt(self) -> float:
