@@ -17,6 +17,8 @@ from arrive.robots.robot import Robot
 from arrive.terrain.rasterise import assemble
 from arrive.terrain.tile import MAX_GEOMS
 
+FIELD_BASE = 0.1
+"""Thickness of height fields below their lowest point [m]; float32 fails more often on the tall prisms of 1 m."""
 NOT_COMPARED = (
     "bvh_",  # MuJoCo's own search trees; the GPU engine has another broad phase
     "name",
@@ -41,7 +43,7 @@ def build_template(robot: Robot, worlds: Sequence[mujoco.MjModel], config: Physi
     for index, world in enumerate(fields):
         spec.add_hfield(
             name=f"field_{index}",
-            size=world.hfield_size[0],
+            size=(*world.hfield_size[0, :3], FIELD_BASE),
             nrow=int(world.hfield_nrow[0]),
             ncol=int(world.hfield_ncol[0]),
             userdata=world.hfield_data,

@@ -13,11 +13,11 @@ import warp as wp
 from torch import Tensor
 
 from arrive.errors import ArriveError
-from arrive.physics.contact_count import ContactCount
 from arrive.physics.cpu import MAX_SPEED
 from arrive.physics.engine import Readings
 from arrive.physics.options import PhysicsConfig
 from arrive.physics.template import build_template, differing_fields, static_geoms
+from arrive.physics.warp_contacts import ContactCount, drop_false_contacts
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
 
@@ -76,6 +76,8 @@ class WarpPhysics:
                 njmax=template.njnt + ROWS_PER_CONTACT * config.max_contacts,
             )
             self._contacts = ContactCount(robot, template, self._data)
+        if template.nhfield:
+            self._model.callback.contactfilter = drop_false_contacts
         self._model.opt.warn_overflow = 0  # reported below, and not by printing from the device
         self._state = {name: wp.to_torch(getattr(self._data, name)) for name in STATE_FIELDS}
         self._sensors, self._torque = (wp.to_torch(getattr(self._data, n)) for n in ("sensordata", "actuator_force"))
