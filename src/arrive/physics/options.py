@@ -18,6 +18,8 @@ class PhysicsConfig:
     """Physics step [s]."""
     decimation: int = 4
     """Physics steps per policy step."""
+    engine: Literal["auto", "mujoco", "warp"] = "auto"
+    """`mujoco` on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` takes the one that suits the device."""
     motor: MotorKind = "dc"
     """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone."""
     solver_iterations: int = 15

@@ -105,7 +105,7 @@ def _differs(name: str, world: mujoco.MjModel, template: mujoco.MjModel) -> bool
 def _in_layout(name: str, world: mujoco.MjModel, template: mujoco.MjModel) -> np.ndarray:
     """A world's field with its geoms where the template has them; geoms that it lacks are the template's own."""
     value = getattr(world, name)
-    if not name.startswith("geom_") or world.ngeom == template.ngeom == len(value) and not world.nhfield:
+    if not name.startswith("geom_"):
         return value
     placed = getattr(template, name).copy()
     placed[_geom_places(world, template)] = value
