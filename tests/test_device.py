@@ -57,7 +57,7 @@ def test_the_engine_belongs_to_the_device():
 
     physics = make_physics(ROBOT, [world()], PhysicsConfig(), 1, 1, torch.device("cpu"))
     assert isinstance(physics, CpuPhysics)
-    with pytest.raises(ArriveError, match="physics.engine=mujoco runs on the CPU"):
+    with pytest.raises(ArriveError, match=r"physics\.engine=mujoco runs on the CPU"):
         make_physics(ROBOT, [world()], PhysicsConfig(engine="mujoco"), 1, 1, torch.device("cuda"))
 
 

@@ -119,6 +119,7 @@ class WarpPhysics:
             return None
         self._model.opt.graph_conditional = wp.is_conditional_graph_supported()
         saved = self.state_dict()
+        wp.synchronize_device(self._warp_device)
         self._advance()  # loads the kernels, which cannot be done while a graph is captured
         wp.synchronize_device(self._warp_device)
         gc.collect()
@@ -130,6 +131,18 @@ class WarpPhysics:
             gc.enable()
         self.load_state_dict(saved)
         return capture.graph
+
+    def _launch(self) -> None:
+        """Run the policy step, on a GPU in torch's own stream, so that the two keep their order."""
+        if not self._warp_device.is_cuda:
+            self._advance()
+            return
+        stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+        if self._graph is not None:
+            wp.capture_launch(self._graph, stream)
+            return
+        with wp.ScopedStream(stream):
+            self._advance()
 
     def _advance(self) -> None:
         """The kernels of one policy step."""
@@ -175,10 +188,7 @@ class WarpPhysics:
         """
         self._state["ctrl"].copy_(joint_targets)
         kept = {name: view[self._retired] for name, view in self._state.items()}
-        if self._graph is None:
-            self._advance()
-        else:
-            wp.capture_launch(self._graph, wp.stream_from_torch(torch.cuda.current_stream(self.device)))
+        self._launch()
         for name, values in kept.items():
             self._state[name][self._retired] = values
         self._shared_loss |= (self._overflow & int(SHARED_LOSS)).any()
