@@ -87,5 +87,8 @@ def spoil(ranks: Ranks, folder: Path) -> None:
 if __name__ == "__main__":
     torch.set_num_threads(1)
     joined = join_ranks(torch.device("cpu"))
-    {"one_update": one_update, "resume": resume, "spoil": spoil}[sys.argv[1]](joined, Path(sys.argv[2]))
+    for part in (one_update, resume, spoil):
+        own = Path(sys.argv[1]) / part.__name__
+        own.mkdir(exist_ok=True)
+        part(joined, own)
     joined.leave()

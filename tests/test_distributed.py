@@ -28,11 +28,18 @@ def torchrun(*arguments: str, processes: int = 2) -> subprocess.CompletedProcess
     return subprocess.run([*launcher, *arguments], capture_output=True, text=True, timeout=300, env=environment)
 
 
-def work(what: str, folder: Path) -> list[dict]:
-    """What each process of the worker wrote."""
-    answer = torchrun(str(WORKER), what, str(folder))
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Where the worker has left what it did, a folder for each of its parts."""
+    path = tmp_path_factory.mktemp("distributed")
+    answer = torchrun(str(WORKER), str(path))
     assert answer.returncode == 0, answer.stderr
-    return [torch.load(folder / f"{rank}.pt") for rank in range(2)]
+    return path
+
+
+def left_by(folder: Path, part: str) -> list[dict]:
+    """What each process wrote."""
+    return [torch.load(folder / part / f"{rank}.pt") for rank in range(2)]
 
 
 def stepped(before: dict, gradients: dict) -> dict[str, torch.Tensor]:
@@ -46,8 +53,8 @@ def stepped(before: dict, gradients: dict) -> dict[str, torch.Tensor]:
     return {name: value.detach() for name, value in values.items()}
 
 
-def test_an_update_is_a_step_along_the_averaged_gradient(tmp_path):
-    first, second = work("one_update", tmp_path)
+def test_an_update_is_a_step_along_the_averaged_gradient(folder):
+    first, second = left_by(folder, "one_update")
     for name, value in first["before"].items():
         assert torch.equal(value, second["before"][name]), name
         assert torch.equal(first["after"][name], second["after"][name]), name
@@ -60,8 +67,8 @@ def test_an_update_is_a_step_along_the_averaged_gradient(tmp_path):
     assert any(not torch.allclose(first["after"][name], alone[name], atol=1e-5) for name in alone)
 
 
-def test_a_resumed_run_of_two_processes_goes_on_bit_for_bit(tmp_path):
-    results = work("resume", tmp_path)
+def test_a_resumed_run_of_two_processes_goes_on_bit_for_bit(folder):
+    results = left_by(folder, "resume")
     for result in results:
         whole, resumed = result["parameters"]
         for name, value in whole.items():
@@ -70,20 +77,20 @@ def test_a_resumed_run_of_two_processes_goes_on_bit_for_bit(tmp_path):
         assert result["samples"] == 2 * 2 * CONFIG.num_envs * CONFIG.ppo.num_steps
     assert not torch.equal(results[0]["observations"][0], results[1]["observations"][0])
     with pytest.raises(ArriveError, match="made by 2 processes: resume it with as many"):
-        make_trainer(join_ranks(torch.device("cpu")), tmp_path / "parts").load()
+        make_trainer(join_ranks(torch.device("cpu")), folder / "resume" / "parts").load()
 
 
-def test_both_go_back_when_one_meets_a_nan(tmp_path):
-    first, second = work("spoil", tmp_path)
+def test_both_go_back_when_one_meets_a_nan(folder):
+    first, second = left_by(folder, "spoil")
     assert first["iteration"] == second["iteration"] == 2
     for name, value in first["after"].items():
         assert value.isfinite().all()
         assert torch.equal(value, second["after"][name]), name
-    assert (tmp_path / "dump_0.pt").is_file()
-    assert (tmp_path / "rank1" / "dump_0.pt").is_file()
+    assert (folder / "spoil" / "dump_0.pt").is_file()
+    assert (folder / "spoil" / "rank1" / "dump_0.pt").is_file()
 
 
-def test_one_process_is_alone(tmp_path):
+def test_one_process_is_alone():
     ranks = join_ranks(torch.device("cpu"))
     assert (ranks.rank, ranks.count, ranks.leads, ranks.seed_offset, ranks.settings()) == (0, 1, True, 0, None)
     assert ranks.gather("a") == ["a"]
