@@ -44,7 +44,7 @@ def train(command: Train) -> None:
     config, folder = ranks.share((_resumed if command.resume else _fresh)(command) if ranks.leads else None)
     if ranks.leads:
         together = f", {ranks.count} processes" if ranks.count > 1 else ""
-        print(describe_device(device, command.device, threads) + together)
+        print(describe_device(device, command.device, threads, config.physics.engine) + together)
     with Progress(transient=True, disable=not ranks.leads) as bar:
         worlds = bar.add_task("building terrain", total=None)
         env = build_env(

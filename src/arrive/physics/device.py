@@ -53,12 +53,22 @@ def choose_device(wish: DeviceWish) -> torch.device:
     return torch.device("cuda", index)
 
 
-def describe_device(device: torch.device, wish: DeviceWish, threads: int) -> str:
-    """One line that says what was chosen and why."""
+def engine_for(engine: str, device: torch.device) -> str:
+    """The engine that `physics.engine` means on a device."""
+    return engine if engine != "auto" else {"cpu": "mujoco", "cuda": "warp"}[device.type]
+
+
+def describe_device(device: torch.device, wish: DeviceWish, threads: int, engine: str = "auto") -> str:
+    """One line that says what was chosen and why.
+
+    Args:
+        engine: `physics.engine` of the configuration.
+    """
+    physics = {"mujoco": "MuJoCo", "warp": "MuJoCo Warp"}[engine_for(engine, device)]
     if device.type == "cuda":
-        return f"device: {torch.cuda.get_device_name(device)} ({device}), physics by MuJoCo Warp"
+        return f"device: {torch.cuda.get_device_name(device)} ({device}), physics by {physics}"
     reason = f"; no GPU is used: {why_no_gpu()}" if wish == "auto" else ""
-    return f"device: CPU, {threads} threads, physics by MuJoCo{reason}"
+    return f"device: CPU, {threads} threads, physics by {physics}{reason}"
 
 
 def make_physics(
@@ -74,8 +84,7 @@ def make_physics(
     Raises:
         ArriveError: MuJoCo's own batch asked for on a GPU, or MuJoCo Warp where it is not installed.
     """
-    engine = config.engine if config.engine != "auto" else {"cpu": "mujoco", "cuda": "warp"}[device.type]
-    if engine == "mujoco":
+    if engine_for(config.engine, device) == "mujoco":
         if device.type != "cpu":
             raise ArriveError("physics.engine=mujoco runs on the CPU: choose --device cpu, or physics.engine=auto")
         from arrive.physics.cpu import CpuPhysics
