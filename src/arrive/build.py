@@ -9,7 +9,7 @@ from torch import Tensor
 from arrive.config import Config
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
-from arrive.physics.cpu import CpuPhysics
+from arrive.physics.device import make_physics
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
 from arrive.task.task import Trial
@@ -41,12 +41,15 @@ def build_env(
     placement: Placement = Placement(),
     threads: int = 0,
     progress: Progress = lambda done, total: None,
+    device: torch.device | str | None = None,
 ) -> ArriveEnv:
     """Build tiles, worlds, physics, task and environment.
 
     Args:
         threads: physics threads; 0 takes one per CPU.
         progress: told worlds compiled so far and their number.
+        device: where the robots live: the CPU or a GPU (see `choose_device`); by default where the placement's
+            assignment is, or else the CPU.
 
     Raises:
         ArriveError: the configuration names something unknown or asks for nothing.
@@ -58,8 +61,11 @@ def build_env(
         raise ArriveError(f"num_envs is {config.num_envs}, fewer than the {len(families)} terrain families")
     values: Sequence[Sequence[float]] = placement.values or [level_values(f, config.terrain.levels) for f in families]
     seed = config.seed + placement.seed_offset
-    pool = build_pool(config, robot, families, values, placement.layout, seed, progress)
-    physics = CpuPhysics(robot, pool.worlds, config.num_envs, config.physics.decimation, threads)
-    generator = torch.Generator().manual_seed(seed)
+    if device is None:
+        device = "cpu" if placement.assignment is None else placement.assignment[0].device
+    device = torch.device(device)
+    pool = build_pool(config, robot, families, values, placement.layout, seed, progress).to(device)
+    physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device)
+    generator = torch.Generator(device).manual_seed(seed)
     task = get_task(config.task.name)(config, pool.rasters, generator, placement.trial)
     return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)

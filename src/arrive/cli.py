@@ -30,6 +30,8 @@ class Train:
     """Seed of networks, terrain and everything random; 1 by default."""
     threads: int = 0
     """CPU threads for physics and learning; 0 takes every CPU."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to train; `auto` takes an NVIDIA GPU where one can be used."""
     resume: Path | None = None
     """Run folder to continue exactly where it stands."""
     start_from: Path | None = None
@@ -62,6 +64,8 @@ class Eval:
     """Seed of terrain and episodes, apart from those of training."""
     threads: int = 0
     """CPU threads; 0 takes every CPU."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to simulate; `auto` takes an NVIDIA GPU where one can be used."""
     json: Path | None = None
     """File for the result as JSON; `difficulty` writes difficulty.json beside each policy by default."""
     pictures: Path | None = None

@@ -382,7 +382,7 @@ class ArriveEnv(VecEnv):
         self.task.load_state_dict(state["task"])
         for name, value in self._buffers.items():
             value.copy_(state["buffers"][name])
-        self.curriculum.levels = state["levels"].clone()
+        self.curriculum.levels = state["levels"].to(self.device, copy=True)
         self.exploration.load_state_dict(state["exploration"])
         self.episode_length_buf.copy_(state["episode_length"])
         self._generator.set_state(state["generator"])

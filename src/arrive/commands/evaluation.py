@@ -23,6 +23,7 @@ from arrive.evaluation.pictures import Episode, film, picture_strip
 from arrive.evaluation.policy import Policy, load_policy
 from arrive.evaluation.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES
 from arrive.evaluation.report import write_report
+from arrive.physics.device import choose_device, describe_device
 from arrive.terrain import parse_families
 
 if TYPE_CHECKING:
@@ -37,9 +38,11 @@ def evaluate(command: Eval) -> None:
     # thread gives the same sums on every machine of a kind.
     threads = use_threads(command.threads)
     torch.set_num_threads(1)
+    device = choose_device(command.device)
+    print(describe_device(device, command.device, threads))
     measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty}[command.protocol]
     for path in (command.policy, *command.others):
-        measure(command, load_policy(path), threads)
+        measure(command, load_policy(path, device), threads)
 
 
 def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.progress import Progress
 
-from arrive.build import build_env
+from arrive.build import Placement, build_env
 from arrive.commands.threads import use_threads
 from arrive.config import Config
 from arrive.errors import ArriveError
@@ -16,8 +16,10 @@ from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay
 from arrive.learning.logs import RunLog
+from arrive.learning.ranks import join_ranks
 from arrive.learning.rundir import new_run_folder, read_config, write_config
 from arrive.learning.trainer import Trainer
+from arrive.physics.device import choose_device, describe_device
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
 
@@ -32,18 +34,41 @@ def train(command: Train) -> None:
     """Train a new run or continue one."""
     threads = use_threads(command.threads)
     minutes, iterations = _budget(command)
-    config, folder = _resumed(command) if command.resume else _fresh(command)
-    with Progress(transient=True) as bar:
+    device = choose_device(command.device)
+    ranks = join_ranks(device)
+    # Rank 0 alone makes the folder; the others take what it has found.
+    config, folder = ranks.share((_resumed if command.resume else _fresh)(command) if ranks.leads else None)
+    if ranks.leads:
+        together = f", {ranks.count} processes" if ranks.count > 1 else ""
+        print(describe_device(device, command.device, threads, config.physics.engine) + together)
+    with Progress(transient=True, disable=not ranks.leads) as bar:
         worlds = bar.add_task("building terrain", total=None)
-        env = build_env(config, threads=threads, progress=lambda i, n: bar.update(worlds, completed=i, total=n))
-    trainer = Trainer(config, env, folder)
-    log = RunLog(folder)
+        env = build_env(
+            config,
+            Placement(seed_offset=ranks.seed_offset),
+            threads,
+            lambda i, n: bar.update(worlds, completed=i, total=n),
+            device,
+        )
+    trainer = Trainer(config, env, folder, ranks)
     if command.resume:
         trainer.load()
+    elif command.start_from:
+        trainer.warm_start(command.start_from / CHECKPOINT_NAME)
+    if ranks.leads:
+        _train_and_show(command, trainer, minutes, iterations)
+    else:
+        trainer.train(minutes, iterations, lambda result: None)
+    ranks.leave()
+
+
+def _train_and_show(command: Train, trainer: Trainer, minutes: float | None, iterations: int | None) -> None:
+    """Train with the display, the log and the curves."""
+    config, folder = trainer.config, trainer.folder
+    log = RunLog(folder)
+    if command.resume:
         log.truncate_after(trainer.iteration)
     else:
-        if command.start_from:
-            trainer.warm_start(command.start_from / CHECKPOINT_NAME)
         write_config(folder, config)  # last, so that a start that failed leaves the folder free
     title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
     with TrainingDisplay(title, folder) as display:

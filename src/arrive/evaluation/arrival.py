@@ -150,7 +150,7 @@ def evaluate(
     played: list[Played] = []
     pictures: dict[int, Episode] = {}
     for index, part in enumerate(parts):
-        env = _environment(policy.config, cells, part, _part_seed(seed, index), threads, setting)
+        env = _environment(policy, cells, part, _part_seed(seed, index), threads, setting)
         policy.check(env)
         watched = _one_per_cell(part, pictures)
         acting = policy if pilot is None else pilot(env)
@@ -167,9 +167,10 @@ def _part_seed(seed: int, index: int) -> int:
 
 
 def _environment(
-    config: Config, cells: Sequence[Cell], part: Tensor, seed: int, threads: int, setting: Setting
+    policy: Policy, cells: Sequence[Cell], part: Tensor, seed: int, threads: int, setting: Setting
 ) -> ArriveEnv:
-    """Robots that stay on the cells they are dealt."""
+    """Robots that stay on the cells they are dealt, on the policy's device."""
+    config = policy.config
     present = sorted(set(part.tolist()))
     families = list(dict.fromkeys(cells[i].family.name for i in present))
     values = {name: [cells[i].value for i in present if cells[i].family.name == name] for name in families}
@@ -188,7 +189,7 @@ def _environment(
         trial=setting.trial,
         values=tuple(tuple(values[name]) for name in families),
         seed_offset=EVALUATION_SEED_OFFSET,
-        assignment=(family, level),
+        assignment=(family.to(policy.device), level.to(policy.device)),
     )
     return build_env(config, placement, threads)
 

@@ -24,7 +24,7 @@ class Pilot(Protocol):
 
 @dataclass
 class Played:
-    """The first episode of every robot of an environment."""
+    """The first episode of every robot of an environment, in the CPU's memory."""
 
     success: Tensor
     """(n,) bool."""
@@ -62,9 +62,9 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lam
         steps=torch.zeros(n, dtype=torch.long),
         reached=torch.zeros(n, dtype=torch.long),
         cause=[""] * n,
-        tile=env.tile_of_env.clone(),
-        target_w=env.task.destination_w.clone(),
-        trace_w=env.state.base_pos_w.repeat(env.max_episode_length + 1, 1, 1),
+        tile=env.tile_of_env.to("cpu", copy=True),
+        target_w=env.task.destination_w.to("cpu", copy=True),
+        trace_w=env.state.base_pos_w.cpu().repeat(env.max_episode_length + 1, 1, 1),
         qpos=np.zeros(0),
         watched=watched,
     )
@@ -73,9 +73,9 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lam
     for step in range(env.max_episode_length):
         observation = env.step(pilot.act(observation))[0][POLICY]
         poses.append(_poses(env, watched))
-        played.reached[waiting & env.log.success & (played.reached == 0)] = step + 1
+        played.reached[waiting & env.log.success.cpu() & (played.reached == 0)] = step + 1
         _note_ended(env, played, waiting, step + 1)
-        played.trace_w[step + 1] = torch.where(waiting[:, None], env.state.base_pos_w, played.trace_w[step])
+        played.trace_w[step + 1] = torch.where(waiting[:, None], env.state.base_pos_w.cpu(), played.trace_w[step])
         progress(step + 1, env.max_episode_length)
         if not bool(waiting.any()):
             break
@@ -87,20 +87,21 @@ def _note_ended(env: ArriveEnv, played: Played, waiting: Tensor, step: int) -> N
     ended = env.log.finished
     if ended is None:
         return
-    new = waiting[ended.env_ids]
-    ids = ended.env_ids[new]
-    played.success[ids], played.distance[ids], played.steps[ids] = ended.success[new], ended.distance[new], step
+    ended_ids, success, distance = ended.env_ids.cpu(), ended.success.cpu(), ended.distance.cpu()
+    new = waiting[ended_ids]
+    ids = ended_ids[new]
+    played.success[ids], played.distance[ids], played.steps[ids] = success[new], distance[new], step
     for cause, mask in ended.failures.items():
-        for env_id in ended.env_ids[new & mask].tolist():
+        for env_id in ended_ids[new & mask.cpu()].tolist():
             played.cause[env_id] = cause
     waiting[ids] = False
-    env.retire(ids)
+    env.retire(ids.to(env.device))
 
 
 def _poses(env: ArriveEnv, watched: Tensor) -> np.ndarray:
     state = env.state
     parts = (state.base_pos_w, state.base_quat_w, state.joint_pos)
-    return torch.cat([part[watched] for part in parts], dim=-1).numpy()
+    return torch.cat([part[watched.to(part.device)] for part in parts], dim=-1).cpu().numpy()
 
 
 def episode(env: ArriveEnv, played: Played, column: int, caption: str) -> Episode:

@@ -15,6 +15,8 @@ from arrive.errors import ArriveError
 from arrive.learning.checkpoint import POLICY_NAME, check_schema, load_checked
 from arrive.learning.ppo import make_actor
 
+CPU = torch.device("cpu")
+
 
 @dataclass(frozen=True)
 class Policy:
@@ -26,6 +28,8 @@ class Policy:
     commit: str
     samples: int
     actor: MLPModel
+    device: torch.device = CPU
+    """Where it acts."""
 
     @torch.inference_mode()
     def act(self, observation: Tensor) -> Tensor:
@@ -43,8 +47,11 @@ class Policy:
         check_schema(self.schema, env.observer.schema(), self.path)
 
 
-def load_policy(path: Path) -> Policy:
+def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     """Read a policy file, or the policy in a run folder; nothing from the file is executed.
+
+    Args:
+        device: where it acts, and where the environments that it is measured in live.
 
     Raises:
         ArriveError: missing, truncated, foreign, or its networks do not fit its configuration.
@@ -62,4 +69,6 @@ def load_policy(path: Path) -> Policy:
         actor.load_state_dict(content["actor"])
     except RuntimeError as error:
         raise ArriveError(f"the networks in {path} do not fit its configuration: {error}") from error
-    return Policy(path, config, content["schema"], content["commit"], content["samples"], actor)
+    return Policy(
+        path, config, content["schema"], content["commit"], content["samples"], actor.to(device), torch.device(device)
+    )

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from arrive.config import PPOConfig
 from arrive.env import POLICY, ArriveEnv
 from arrive.learning.networks import choose_precision
+from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.symmetry import Augmentation, make_mirror
 
 MODEL_CLASSES = {
@@ -19,10 +20,10 @@ MODEL_CLASSES = {
 DISTRIBUTION_CLASS = "rsl_rl.modules.distribution:GaussianDistribution"
 
 
-def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict) -> PPO:
+def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict, ranks: Ranks = ALONE) -> PPO:
     """Build the algorithm with fresh networks, drawn from torch's global random state."""
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its models
-        algorithm = PPO.construct_algorithm(observations, env, _settings(config, env), str(env.device))
+        algorithm = PPO.construct_algorithm(observations, env, _settings(config, env, ranks), str(env.device))
     algorithm.train_mode()
     return algorithm
 
@@ -43,12 +44,12 @@ def _actor_settings(config: PPOConfig) -> dict:
     }
 
 
-def _settings(config: PPOConfig, env: ArriveEnv) -> dict:
+def _settings(config: PPOConfig, env: ArriveEnv, ranks: Ranks) -> dict:
     augmentation = {"data_augmentation_func": Augmentation(make_mirror(env)), "use_data_augmentation": True}
     return {
         "num_steps_per_env": config.num_steps,
         "obs_groups": {"actor": [POLICY], "critic": [POLICY]},
-        "multi_gpu": None,
+        "multi_gpu": ranks.settings(),
         "actor": _actor_settings(config),
         "critic": {
             "class_name": MODEL_CLASSES[choose_precision(config.precision)],

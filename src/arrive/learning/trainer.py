@@ -4,6 +4,7 @@ import copy
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from tensordict import TensorDict
@@ -22,6 +23,7 @@ from arrive.learning.checkpoint import (
 from arrive.learning.guard import NonFiniteError, all_finite, check_losses, check_terms, save_dump
 from arrive.learning.interrupt import interruptible
 from arrive.learning.ppo import make_ppo
+from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.report import IterationReport
 from arrive.learning.rundir import commit
 from arrive.learning.statistics import TrainingStatistics
@@ -31,18 +33,28 @@ CHECKPOINT_INTERVAL_S = 120.0
 MAX_RECOVERIES = 3
 """Times that training goes back to the last good state, without a new one, before it gives up."""
 
+OWN_STATE = ("env", "observations", "statistics", "random", "random_cuda")
+"""The parts of the state that each process has of its own."""
+
 Reporter = Callable[[IterationReport], None]
+Result = TypeVar("Result")
 
 
 class Trainer:
     """Trains one policy in one environment; its whole state can be saved and loaded bit for bit."""
 
-    def __init__(self, config: Config, env: ArriveEnv, folder: Path):
-        """Draw fresh networks from the configuration's seed."""
+    def __init__(self, config: Config, env: ArriveEnv, folder: Path, ranks: Ranks = ALONE):
+        """Draw fresh networks from the configuration's seed: the same in every process, which then part.
+
+        Args:
+            ranks: the processes that train together, each with an environment of its own.
+        """
         torch.manual_seed(config.seed)
-        self.config, self.env, self.folder = config, env, folder
+        self.config, self.env, self.folder, self.ranks = config, env, folder, ranks
         self._observations = env.get_observations()
-        self.algorithm = make_ppo(config.ppo, env, self._observations)
+        self.algorithm = make_ppo(config.ppo, env, self._observations, ranks)
+        if not ranks.leads:
+            torch.manual_seed(config.seed + ranks.seed_offset)
         self._statistics = TrainingStatistics(env)
         self.iteration, self.samples, self.elapsed_s = 0, 0, 0.0
         self._recoveries = 0
@@ -57,16 +69,16 @@ class Trainer:
     ) -> None:
         """Train until the budget is spent: minutes or iterations since the run began, whichever comes first.
 
-        Ctrl-C and SIGTERM end it after the iteration in progress. It saves at the start too, so that a run that is
-        killed can always be resumed.
+        All processes stop and save together, when the first of them would. Ctrl-C and SIGTERM end it after the
+        iteration in progress. It saves at the start too, so that a run that is killed can always be resumed.
         """
         self.save()
         saved_at = time.monotonic()
         with interruptible() as interrupted:
-            while self._budget(minutes, iterations) < 1.0 and not interrupted():
+            while not self.ranks.any(self._budget(minutes, iterations) >= 1.0 or interrupted()):
                 if not self.iterate(report, minutes, iterations):
                     continue
-                if time.monotonic() - saved_at > save_interval_s:
+                if self.ranks.any(time.monotonic() - saved_at > save_interval_s):
                     self.save()
                     saved_at = time.monotonic()
         self.save()
@@ -102,17 +114,45 @@ class Trainer:
             return None
         seconds = time.monotonic() - start
         self.iteration += 1
-        self.samples += self.env.num_envs * self.config.ppo.num_steps
+        self.samples += self._batch
         self.elapsed_s += seconds
         return rewards, losses, seconds
 
+    @property
+    def _batch(self) -> int:
+        """Policy steps per iteration, of all processes."""
+        return self.env.num_envs * self.config.ppo.num_steps * self.ranks.count
+
     def _collect_and_learn(self) -> tuple[dict[str, float], dict[str, float]]:
+        rewards = self._together(self.collect)
+        exploration = self.env.exploration
+        exploration.active = ~self.ranks.any_of(~exploration.active)
+        return rewards, self._together(self.learn)
+
+    def _together(self, phase: Callable[[], Result]) -> Result:
+        """Run a phase; where one process meets a number that is none, all go back.
+
+        Raises:
+            NonFiniteError: this process or another one met it.
+        """
+        result, failure = None, None
         try:
-            return self.collect(), self.learn()
-        except RuntimeError:
-            # Torch refuses to draw actions where a mean or deviation is NaN, before any check of ours.
+            result = phase()
+        except NonFiniteError as error:
+            failure = error
+        except RuntimeError as error:
+            failure = self._broken_networks(error)
+        if self.ranks.any(failure is not None):
+            raise failure or NonFiniteError("another process met a non-finite number", {})
+        return result
+
+    def _broken_networks(self, error: RuntimeError) -> NonFiniteError:
+        """Why torch refused to draw actions, which it does where a mean or deviation is NaN, before our checks."""
+        try:
             check_losses({}, self._parameters())
-            raise
+        except NonFiniteError as broken:
+            return broken
+        raise error
 
     @torch.inference_mode()
     def collect(self) -> dict[str, float]:
@@ -152,13 +192,14 @@ class Trainer:
     def _recover(self, error: NonFiniteError) -> None:
         """Dump, go back, and draw other random numbers from there."""
         self._recoveries += 1
-        path = save_dump(self.folder, self.iteration, error, self._good)
+        folder = self.folder if self.ranks.leads else self.folder / f"rank{self.ranks.rank}"
+        path = save_dump(folder, self.iteration, error, self._good)
         if self._recoveries > MAX_RECOVERIES:
             raise ArriveError(f"{error}; it came back {MAX_RECOVERIES} times. What was seen is in {path}.") from error
         print(f"{error}. Dumped to {path}; going on from iteration {self._good['iteration']}.")
         self._restore(self._good)
         self.algorithm.storage.clear()
-        torch.manual_seed(self.config.seed + 7919 * self._recoveries + self.iteration)
+        torch.manual_seed(self.config.seed + self.ranks.seed_offset + 7919 * self._recoveries + self.iteration)
 
     def _report(
         self,
@@ -169,14 +210,13 @@ class Trainer:
         iterations: int | None,
     ) -> IterationReport:
         spent = self._budget(minutes, iterations)
-        batch = self.env.num_envs * self.config.ppo.num_steps
         return IterationReport(
             iteration=self.iteration,
             samples=self.samples,
             elapsed_s=self.elapsed_s,
             budget=min(spent, 1.0),
             time_left_s=self.elapsed_s * max(1.0 / spent - 1.0, 0.0) if spent else float("nan"),
-            samples_per_s=batch / seconds,
+            samples_per_s=self._batch / seconds,
             arrival=self._statistics.arrival(),
             exploration_paid=self.env.exploration_paid,
             task_fraction=self.env.exploration.fraction,
@@ -187,17 +227,19 @@ class Trainer:
         )
 
     def _snapshot(self) -> dict:
-        """Everything that decides how training goes on."""
+        """Everything that decides how training goes on in this process."""
         return copy.deepcopy(
             {
                 "iteration": self.iteration,
                 "samples": self.samples,
                 "elapsed_s": self.elapsed_s,
                 "algorithm": self.algorithm.save(),
+                "device": self.env.device.type,
                 "env": self.env.state_dict(),
                 "observations": self._observations[POLICY],
                 "statistics": self._statistics.state_dict(),
                 "random": torch.get_rng_state(),
+                "random_cuda": torch.cuda.get_rng_state(self.env.device) if self.env.device.type == "cuda" else None,
             }
         )
 
@@ -205,9 +247,12 @@ class Trainer:
         self.iteration, self.samples, self.elapsed_s = state["iteration"], state["samples"], state["elapsed_s"]
         self.algorithm.load(copy.deepcopy(state["algorithm"]), None, True)
         self.env.load_state_dict(state["env"])
-        self._observations = TensorDict({POLICY: state["observations"].clone()}, batch_size=[self.env.num_envs])
+        observations = state["observations"].to(self.env.device, copy=True)
+        self._observations = TensorDict({POLICY: observations}, batch_size=[self.env.num_envs])
         self._statistics.load_state_dict(copy.deepcopy(state["statistics"]))
         torch.set_rng_state(state["random"])
+        if self.env.device.type == "cuda":
+            torch.cuda.set_rng_state(state["random_cuda"], self.env.device)
 
     def _description(self) -> dict:
         """What a policy file says of itself."""
@@ -222,10 +267,17 @@ class Trainer:
         }
 
     def save(self) -> None:
-        """Write checkpoint and policy; this state is then the one to go back to."""
+        """Write checkpoint and policy; this state is then the one to go back to.
+
+        The first process writes, with what the others' environments need to go on.
+        """
         self._good, self._recoveries = self._snapshot(), 0
+        own = {name: self._good[name] for name in OWN_STATE}
+        others = self.ranks.gather(own)[1:]
+        if not self.ranks.leads:
+            return
         description = self._description()
-        save_atomically(description | {"state": self._good}, self.folder / CHECKPOINT_NAME)
+        save_atomically(description | {"state": self._good | {"others": others}}, self.folder / CHECKPOINT_NAME)
         actor = self._good["algorithm"]["actor_state_dict"]
         save_atomically(description | {"actor": actor}, self.folder / POLICY_NAME)
 
@@ -241,14 +293,31 @@ class Trainer:
             raise ArriveError(f"{path} is a policy, not a training checkpoint; it cannot be resumed")
         if from_dict(Config, content["config"]) != self.config:  # fields that are newer than the file have defaults
             raise ArriveError(f"{path} was made with another configuration than {self.folder}/config.json")
+        state = self._own_part(content["state"], path)
         try:
-            self._restore(content["state"])
+            self._restore(state)
         except (KeyError, RuntimeError) as error:
             raise ArriveError(
                 f"{path} was written by another version of arrive and cannot be resumed; "
                 f"begin a new run with its networks: --start-from {self.folder}. ({error!r})"
             ) from error
         self._good = self._snapshot()
+
+    def _own_part(self, state: dict, path: Path) -> dict:
+        """A checkpoint's state with this process's environment in it.
+
+        Raises:
+            ArriveError: it was made by another number of processes or on another kind of device.
+        """
+        others, device = state.get("others", []), state.get("device", "cpu")
+        if len(others) + 1 != self.ranks.count:
+            raise ArriveError(f"{path} was made by {len(others) + 1} processes: resume it with as many")
+        if device != self.env.device.type:
+            raise ArriveError(
+                f"{path} was made with --device {device}: resume it so, or start a "
+                f"new run with --start-from {path.parent}"
+            )
+        return state if self.ranks.leads else state | others[self.ranks.rank - 1]
 
     def warm_start(self, path: Path) -> None:
         """Take networks and optimiser from another run's checkpoint, and nothing else."""

@@ -18,6 +18,8 @@ class PhysicsConfig:
     """Physics step [s]."""
     decimation: int = 4
     """Physics steps per policy step."""
+    engine: Literal["auto", "mujoco", "warp"] = "auto"
+    """`mujoco` on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` takes the one that suits the device."""
     motor: MotorKind = "dc"
     """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone."""
     solver_iterations: int = 15
@@ -35,6 +37,8 @@ class PhysicsConfig:
     """Time constant of contacts, at least two physics steps [s]."""
     contact_impedance: float = 0.97
     """How hard contacts are, 0 to 1: the softer, the faster a standing robot's feet creep."""
+    max_contacts: int = 64
+    """Contacts per robot for which MuJoCo Warp makes room; the CPU engine needs no bound."""
 
     @property
     def control_dt(self) -> float:

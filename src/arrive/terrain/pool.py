@@ -50,6 +50,16 @@ class TerrainPool:
         """Number of levels of each family."""
         return tuple(len(values) for values in self.values)
 
+    def to(self, device: torch.device) -> "TerrainPool":
+        """The pool with what the environment looks up on a device; worlds and tiles stay in the CPU's memory."""
+        rasters = Rasters(**{name: value.to(device) for name, value in vars(self.rasters).items()})
+        return replace(
+            self,
+            rasters=rasters,
+            world_index=self.world_index.to(device),
+            tile_of_world=self.tile_of_world.to(device),
+        )
+
 
 def level_values(family: Family, num_levels: int) -> tuple[float, ...]:
     """Parameters of a family's levels; one level for a family whose parameter does not vary."""

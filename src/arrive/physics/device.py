@@ -1,0 +1,97 @@
+"""Which device a run uses, and with it which physics engine."""
+
+import importlib.util
+import os
+from collections.abc import Sequence
+from typing import Literal
+
+import mujoco
+import torch
+
+from arrive.errors import ArriveError
+from arrive.physics.engine import Physics
+from arrive.physics.options import PhysicsConfig
+from arrive.robots.robot import Robot
+
+DeviceWish = Literal["auto", "cpu", "cuda"]
+INSTALL_WARP = "pip install 'arrive[gpu]', then pip install --no-deps mujoco-warp"
+
+
+def why_no_gpu() -> str:
+    """What keeps this process from training on a GPU and what to do about it; empty where nothing does."""
+    if torch.version.cuda is None:
+        return "this torch is built without CUDA: install one with it, see pytorch.org/get-started"
+    if not torch.cuda.is_available():
+        return "torch finds no NVIDIA GPU or driver: check that nvidia-smi lists one and CUDA_VISIBLE_DEVICES allows it"
+    if not has_warp():
+        return f"MuJoCo Warp is not installed: {INSTALL_WARP}"
+    return ""
+
+
+def has_warp() -> bool:
+    """Whether MuJoCo Warp is installed."""
+    return all(importlib.util.find_spec(name) is not None for name in ("warp", "mujoco_warp"))
+
+
+def choose_device(wish: DeviceWish) -> torch.device:
+    """The device to use; with several processes on a machine each takes the GPU of its local rank.
+
+    Raises:
+        ArriveError: `cuda` without a usable GPU.
+    """
+    problem = why_no_gpu() if wish != "cpu" else ""
+    if wish == "cuda" and problem:
+        raise ArriveError(f"--device cuda: {problem}")
+    if wish == "cpu" or problem:
+        return torch.device("cpu")
+    index = int(os.environ.get("LOCAL_RANK", "0"))
+    if index >= torch.cuda.device_count():
+        raise ArriveError(
+            f"process {index} of this machine has no GPU: start {torch.cuda.device_count()}, as many as there are"
+        )
+    torch.cuda.set_device(index)
+    return torch.device("cuda", index)
+
+
+def engine_for(engine: str, device: torch.device) -> str:
+    """The engine that `physics.engine` means on a device."""
+    return engine if engine != "auto" else {"cpu": "mujoco", "cuda": "warp"}[device.type]
+
+
+def describe_device(device: torch.device, wish: DeviceWish, threads: int, engine: str = "auto") -> str:
+    """One line that says what was chosen and why.
+
+    Args:
+        engine: `physics.engine` of the configuration.
+    """
+    physics = {"mujoco": "MuJoCo", "warp": "MuJoCo Warp"}[engine_for(engine, device)]
+    if device.type == "cuda":
+        return f"device: {torch.cuda.get_device_name(device)} ({device}), physics by {physics}"
+    reason = f"; no GPU is used: {why_no_gpu()}" if wish == "auto" else ""
+    return f"device: CPU, {threads} threads, physics by {physics}{reason}"
+
+
+def make_physics(
+    robot: Robot,
+    worlds: Sequence[mujoco.MjModel],
+    config: PhysicsConfig,
+    num_envs: int,
+    threads: int,
+    device: torch.device,
+) -> Physics:
+    """The engine that the configuration names, or that belongs to the device.
+
+    Raises:
+        ArriveError: MuJoCo's own batch asked for on a GPU, or MuJoCo Warp where it is not installed.
+    """
+    if engine_for(config.engine, device) == "mujoco":
+        if device.type != "cpu":
+            raise ArriveError("physics.engine=mujoco runs on the CPU: choose --device cpu, or physics.engine=auto")
+        from arrive.physics.cpu import CpuPhysics
+
+        return CpuPhysics(robot, worlds, num_envs, config.decimation, threads)
+    if not has_warp():
+        raise ArriveError(f"MuJoCo Warp is not installed: {INSTALL_WARP}")
+    from arrive.physics.warp import WarpPhysics
+
+    return WarpPhysics(robot, worlds, config, num_envs, device)

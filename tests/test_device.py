@@ -1,0 +1,69 @@
+"""The device is chosen by what can be used, and what cannot be used says why and what to do."""
+
+import pytest
+import torch
+
+from arrive.cli import main
+from arrive.errors import ArriveError
+from arrive.physics import PhysicsConfig, device
+from arrive.physics.cpu import CpuPhysics
+from arrive.physics.device import choose_device, describe_device, make_physics, why_no_gpu
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """A function that pretends what this machine has; torch itself is not asked."""
+
+    def pretend(cuda: str | None = "13.0", gpus: int = 1, warp: bool = True, local_rank: int = 0) -> None:
+        monkeypatch.setattr(torch.version, "cuda", cuda)
+        monkeypatch.setattr(torch.cuda, "is_available", lambda: cuda is not None and gpus > 0)
+        monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
+        monkeypatch.setattr(torch.cuda, "set_device", lambda index: None)
+        monkeypatch.setattr(device, "has_warp", lambda: warp)
+        monkeypatch.setenv("LOCAL_RANK", str(local_rank))
+
+    return pretend
+
+
+@pytest.mark.parametrize(
+    ("lack", "advice"),
+    [
+        ({"cuda": None}, "this torch is built without CUDA: install one"),
+        ({"gpus": 0}, "torch finds no NVIDIA GPU or driver: check that nvidia-smi"),
+        ({"warp": False}, "MuJoCo Warp is not installed: pip install"),
+    ],
+)
+def test_a_gpu_that_cannot_be_used_is_one_clear_sentence(machine, lack, advice):
+    machine(**lack)
+    with pytest.raises(ArriveError, match=f"--device cuda: {advice}"):
+        choose_device("cuda")
+    assert choose_device("auto") == torch.device("cpu")
+    assert advice in describe_device(torch.device("cpu"), "auto", 2)
+    assert "GPU" not in describe_device(torch.device("cpu"), "cpu", 2)
+
+
+def test_each_process_takes_the_gpu_of_its_local_rank(machine):
+    machine(gpus=2, local_rank=1)
+    assert why_no_gpu() == ""
+    assert choose_device("auto") == choose_device("cuda") == torch.device("cuda", 1)
+    assert choose_device("cpu") == torch.device("cpu")
+    machine(gpus=1, local_rank=1)
+    with pytest.raises(ArriveError, match="process 1 of this machine has no GPU: start 1"):
+        choose_device("cuda")
+
+
+def test_the_engine_belongs_to_the_device():
+    from test_physics import ROBOT, world
+
+    physics = make_physics(ROBOT, [world()], PhysicsConfig(), 1, 1, torch.device("cpu"))
+    assert isinstance(physics, CpuPhysics)
+    with pytest.raises(ArriveError, match=r"physics\.engine=mujoco runs on the CPU"):
+        make_physics(ROBOT, [world()], PhysicsConfig(engine="mujoco"), 1, 1, torch.device("cuda"))
+
+
+def test_the_command_line_says_it_before_it_makes_anything(machine, tmp_path, capsys):
+    machine(cuda=None)
+    with pytest.raises(SystemExit):
+        main(["train", "flat", "--iterations", "1", "--device", "cuda", "--out", str(tmp_path / "run")])
+    assert capsys.readouterr().err.startswith("arrive: --device cuda: this torch is built without CUDA")
+    assert not (tmp_path / "run").exists()
