@@ -3,14 +3,15 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+WARP := $(VENV)/.warp
 
 .PHONY: demo test lint clean
 
 demo: $(STAMP)
-	$(BIN)/arrive train flat --minutes 12 --out runs/demo
+	$(BIN)/arrive train flat --minutes 8 --out runs/demo
 	$(BIN)/arrive eval runs/demo --episodes 1000
 
-test: $(STAMP)
+test: $(STAMP) $(WARP)
 	$(BIN)/ruff check src tests benchmarks
 	$(BIN)/python -m pytest
 
@@ -22,6 +23,12 @@ $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[test]'
 	touch $(STAMP)
+
+# Without its dependencies: it asks for a MuJoCo that would overwrite ours. Without it, its tests are skipped.
+$(WARP): $(STAMP)
+	-$(BIN)/pip install --quiet --disable-pip-version-check -e '.[gpu]' && \
+		$(BIN)/pip install --quiet --disable-pip-version-check --no-deps 'mujoco-warp>=4,<5'
+	touch $(WARP)
 
 clean:
 	rm -rf $(VENV) build *.egg-info

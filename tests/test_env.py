@@ -89,7 +89,7 @@ def test_a_resumed_environment_goes_on_with_the_same_bits(steps):
     assert same(rollout(other, 80, seed=1), expected)
     assert torch.equal(other.curriculum.levels, env.curriculum.levels)
     states = other.exploration.state_dict(), env.exploration.state_dict()
-    assert all(torch.equal(*(state[name].nan_to_num() for state in states)) for name in states[0])
+    assert all(torch.equal(*(torch.as_tensor(state[name]).nan_to_num() for state in states)) for name in states[0])
     assert sum(int(done.sum()) for done in expected[2::3]) > 5
 
 

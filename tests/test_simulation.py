@@ -17,7 +17,7 @@ from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import robust
 from arrive.simulation import FAR, SimulatedRobot, continued, make_tile
-from arrive.task.heights import HeightGrid, heading_points, look_up
+from arrive.task.heights import HeightGrid, grid_heights
 from arrive.terrain import FAMILIES
 
 CONFIG = robust()
@@ -123,8 +123,8 @@ def test_the_height_map_is_what_training_looks_up(family):
         robot.reset((x, y), yaw)
         terrain, pos = robot.height_map(), robot.base_pos_w
         mine = deployed.from_map(terrain.origin_w, terrain.resolution_m, terrain.heights_w, pos, robot.yaw)
-        points = heading_points(grid.points.double(), torch.from_numpy(pos)[None], torch.tensor([robot.yaw]).double())
-        expected = look_up(raster, torch.tensor([0]), points)[0].numpy()
+        base, yaw = torch.from_numpy(pos)[None].float(), torch.tensor([robot.yaw]).float()
+        expected = grid_heights(raster, torch.tensor([0]), grid.points, base, yaw)[0].numpy()
         # A grid point on the border of two cells may fall into either by rounding.
         assert np.mean(mine != expected) < 0.02
 

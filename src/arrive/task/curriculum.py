@@ -98,15 +98,15 @@ class ExplorationSwitch:
         self._sums.zero_()
         self._steps = 0
 
-    def state_dict(self) -> dict[str, Tensor]:
+    def state_dict(self) -> dict[str, Tensor | int]:
         """What was decided and what is being gathered."""
         return {
             "active": self.active.clone(),
             "fractions": self.fractions.clone(),
             "sums": self._sums.clone(),
-            "steps": torch.tensor(self._steps),
+            "steps": self._steps,
         }
 
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+    def load_state_dict(self, state: dict[str, Tensor | int]) -> None:
         self.active, self.fractions = state["active"].clone(), state["fractions"].clone()
-        self._sums, self._steps = state["sums"].clone(), int(state["steps"])
+        self._sums, self._steps = state["sums"].clone(), state["steps"]
