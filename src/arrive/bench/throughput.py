@@ -43,6 +43,10 @@ class RawEngine:
                 self._views[name][:] = value.numpy()
         self._views["ctrl"][:] = joint_targets
 
+    def state(self, name: str) -> np.ndarray:
+        """(num_envs, ...) one of `STATE_FIELDS`."""
+        return self._views[name]
+
     def step(self) -> None:
         """One policy step of every environment."""
         self._batch.step(None, nstep=self._decimation)
@@ -75,13 +79,15 @@ def bench_throughput(
         trainer = Trainer(config, env, Path(folder))
         if start_from is not None:
             trainer.warm_start(start_from / CHECKPOINT_NAME)
-        bench = _Bench(trainer, env, RunLog(Path(folder)), threads)
+        log = RunLog(Path(folder))
+        bench = _Bench(trainer, env, log, threads)
         bench.round()
         bench.clear()
         memory = (_memory_kib() - before) / config.num_envs
         for done in range(rounds):
             bench.round()
             progress(done + 1, rounds)
+        log.close()
     rates = {name: median(values) for name, values in bench.rates.items()}
     return {
         **rates,

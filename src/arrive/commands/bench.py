@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -11,6 +10,7 @@ from rich.table import Table
 
 from arrive.bench.deployment import bench_deployment, print_deployment
 from arrive.bench.throughput import RATES, bench_throughput
+from arrive.commands.files import write_json
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
 from arrive.recipe import make_config
@@ -37,7 +37,7 @@ def bench(command: Bench) -> None:
         result = _throughput(command)
         _print(result)
     if command.json is not None:
-        command.json.write_text(json.dumps(result, indent=2) + "\n")
+        write_json(command.json, result)
 
 
 def _throughput(command: Bench) -> dict[str, Any]:

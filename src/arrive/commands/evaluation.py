@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from arrive.commands.files import write_json
 from arrive.commands.threads import use_threads
 from arrive.config import to_dict
 from arrive.errors import ArriveError
@@ -59,7 +59,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
     for family in families:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
-        _write_json(command.json, _arrival_content(command, policy, answer))
+        write_json(command.json, _arrival_content(command, policy, answer))
     _write_pictures(command.pictures or policy.path.parent / "pictures", answer.episodes, with_film=True)
 
 
@@ -83,7 +83,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     _print_results([result for results in answer.results.values() for result in results])
     for results in answer.results.values():
         print(why_stuck(results))
-    _write_json(command.json or folder / DIFFICULTY_NAME, answer.content)
+    write_json(command.json or folder / DIFFICULTY_NAME, answer.content)
     pictures = command.pictures or folder / DIFFICULTY_PICTURES
     _write_pictures(pictures, answer.episodes, names=list(answer.results))
 
@@ -118,15 +118,6 @@ def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict:
         "protocol": {"name": "arrival", "episodes": command.episodes, "seed": command.seed},
         "commit": policy.commit,
     }
-
-
-def _write_json(path: Path, content: dict) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content, indent=2) + "\n")
-    except OSError as error:
-        raise ArriveError(f"cannot write {path}: {error}") from error
-    print(f"result: {path}")
 
 
 def _write_pictures(
