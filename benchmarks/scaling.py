@@ -2,7 +2,8 @@
 
     python benchmarks/scaling.py [--num-envs 256 512 1024 2048 4096] [--threads 1 2] [--rounds 5] [--out scaling.json]
 
-Every size is measured by `arrive bench` in a process of its own, one after the other.
+Every size is measured by `arrive bench` in a process of its own, one after the other, with as many steps per iteration as
+keep its samples the same.
 """
 
 import json
@@ -24,6 +25,8 @@ class Arguments:
     threads: tuple[int, ...] = (1, 2)
     rounds: int = 5
     start_from: Path | None = None
+    samples: int = 12288
+    """Per iteration."""
     out: Path = Path("scaling.json")
 
 
@@ -33,6 +36,7 @@ def measure(arguments: Arguments, num_envs: int, threads: int) -> dict:
         path = Path(folder) / "bench.json"
         command = [sys.executable, "-m", "arrive.cli", "bench", arguments.terrain, "--num-envs", str(num_envs)]
         command += ["--threads", str(threads), "--rounds", str(arguments.rounds), "--json", str(path)]
+        command += ["--set", f"ppo.num_steps={max(1, arguments.samples // num_envs)}"]
         if arguments.start_from is not None:
             command += ["--start-from", str(arguments.start_from)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
