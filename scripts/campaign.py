@@ -1,0 +1,202 @@
+"""Trains a queue of policies in the hours there are, goes on where it stopped, and measures what is done.
+
+    python scripts/campaign.py --minutes 150 --threads 1
+
+Each run of the queue is a run folder under `policies/`. The first unfinished one whose start is finished is trained for
+a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration in progress. What has
+all its samples is measured by the paper's protocol and exported. `results/table1.md` then has the paper's Table I
+beside every policy that was measured.
+"""
+
+import math
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from arrive.errors import ArriveError
+from arrive.evaluation.records import DIFFICULTY_NAME, Run, read_run
+from arrive.evaluation.table import LIMITS, make_table
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.logs import LOG_NAME, read_log
+from arrive.recipe import make_config
+from arrive.terrain import parse_families
+
+ROOT = Path(__file__).resolve().parent.parent
+LEAST_MINUTES = 1.0
+"""A slice shorter than this is not begun."""
+
+Arrive = Callable[..., None]
+"""Runs the command line with these arguments."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One run of the queue."""
+
+    name: str
+    terrain: str
+    million_samples: float
+    start_from: str | None = None
+    """Name of the run whose networks it starts with, once that has all its samples."""
+    seed: int = 1
+    set: tuple[str, ...] = ()
+    """Changes to the configuration as PATH=VALUE."""
+
+    @property
+    def iterations(self) -> int:
+        """Training iterations that make the samples."""
+        config = make_config(parse_families(self.terrain), overrides=tuple(self.set))
+        return math.ceil(1e6 * self.million_samples / (config.num_envs * config.ppo.num_steps))
+
+
+@dataclass
+class Arguments:
+    """How long to train, and what."""
+
+    minutes: float
+    """In all, measuring not included [min]."""
+    slice: float = 30.0
+    """Training of one run at a time [min]."""
+    threads: int = 1
+    episodes: int = 500
+    """Per level, in the measurement of a finished run."""
+    queue: Path = ROOT / "scripts" / "campaign.toml"
+    policies: Path = ROOT / "policies"
+    table: Path = ROOT / "results" / "table1.md"
+
+
+def read_queue(path: Path) -> list[Entry]:
+    """The queue, in order.
+
+    Raises:
+        ArriveError: it cannot be read, has unknown keys, or a run starts from none of the others.
+    """
+    try:
+        entries = [Entry(**row | {"set": tuple(row.get("set", ()))}) for row in tomllib.loads(path.read_text())["run"]]
+    except (OSError, tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        raise ArriveError(f"{path} is not a queue of runs: {error}") from error
+    names = {entry.name for entry in entries}
+    for entry in entries:
+        if entry.start_from is not None and entry.start_from not in names:
+            raise ArriveError(f"{path}: {entry.name} starts from {entry.start_from!r}, which is not in the queue")
+    return entries
+
+
+def trained(folder: Path) -> tuple[int, float]:
+    """Iterations and minutes that a run folder has behind it."""
+    if not (folder / CHECKPOINT_NAME).exists() or not (folder / LOG_NAME).exists():
+        return 0, 0.0
+    log = read_log(folder)
+    return int(log["iteration"][-1]), log["progress/elapsed_s"][-1] / 60.0
+
+
+class Campaign:
+    """The queue and what has become of it."""
+
+    def __init__(self, arguments: Arguments, arrive: Arrive):
+        self._arguments, self._arrive = arguments, arrive
+        self._entries = read_queue(arguments.queue)
+        self._goals = {entry.name: entry.iterations for entry in self._entries}
+
+    def folder(self, name: str) -> Path:
+        """A run's folder."""
+        return self._arguments.policies / name
+
+    def finished(self, name: str) -> bool:
+        """Whether a run has all its samples."""
+        return trained(self.folder(name))[0] >= self._goals[name]
+
+    def next(self) -> Entry | None:
+        """The first run that is unfinished and may begin."""
+        for entry in self._entries:
+            if not self.finished(entry.name) and (entry.start_from is None or self.finished(entry.start_from)):
+                return entry
+        return None
+
+    def train(self, entry: Entry, minutes: float) -> None:
+        """Train a run for some minutes more."""
+        folder, goal = self.folder(entry.name), self._goals[entry.name]
+        iterations, before = trained(folder)
+        common = ("--iterations", goal, "--threads", self._arguments.threads, "--minutes", before + minutes)
+        if iterations:
+            self._arrive("train", entry.terrain, "--resume", folder, *common)
+            return
+        start = ("--start-from", self.folder(entry.start_from)) if entry.start_from else ()
+        changes = ("--set", *entry.set) if entry.set else ()
+        self._arrive("train", entry.terrain, "--out", folder, "--seed", entry.seed, *start, *common, *changes)
+
+    def measure(self) -> None:
+        """Measure and export the finished runs that are not yet, and write the table."""
+        for entry in self._entries:
+            folder = self.folder(entry.name)
+            if self.finished(entry.name) and not (folder / DIFFICULTY_NAME).exists():
+                options = ("--episodes", self._arguments.episodes, "--threads", self._arguments.threads)
+                self._arrive("eval", folder, "--protocol", "difficulty", *options)
+                self._arrive("export", folder, "--out", folder / "policy.onnx")
+        folders = [self.folder(entry.name) for entry in self._entries]
+        runs = [read_run(folder) for folder in folders if (folder / DIFFICULTY_NAME).exists()]
+        if runs:
+            self._arguments.table.parent.mkdir(parents=True, exist_ok=True)
+            self._arguments.table.write_text(table_text(runs))
+
+
+def table_text(runs: Sequence[Run]) -> str:
+    """The paper's Table I beside the runs, in Markdown: hardest parameter solved with 95, 80 and 50 % success."""
+    head = ["terrain", "paper V", "paper P_c", "paper P_f", *(run.name for run in runs)]
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for row in make_table(runs):
+        paper = row["paper"] or {}
+        cells = [_number(paper.get(task)) for task in ("velocity", "continuous", "final")]
+        by_run = {entry["run"]: entry for entry in row["ours"]}
+        for run in runs:
+            entry = by_run.get(run.name)
+            cells.append(" / ".join(_number(entry[limit]) for limit in LIMITS) if entry else "")
+        name = f"{row['family']}, {row['parameter']} [{row['unit']}]" if row["unit"] else row["family"]
+        lines.append(f"| {' | '.join([name, *cells])} |")
+    notes = [
+        f"- {run.name}: {run.samples / 1e6:.1f} M samples, seed {run.record['config']['seed']}, "
+        f"commit {run.record['commit'][:10]}"
+        for run in runs
+    ]
+    title = "# Table I of the paper, and ours\n\nHardest terrain solved with at least 95 / 80 / 50 % success.\n"
+    return "\n".join([title, *lines, "", *notes]) + "\n"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:g}"
+
+
+def run(arguments: Arguments, arrive: Arrive, clock: Callable[[], float] = time.monotonic) -> None:
+    """Train until the minutes are spent or the queue is done, then measure."""
+    campaign, began = Campaign(arguments, arrive), clock()
+    while (left := arguments.minutes - (clock() - began) / 60.0) >= LEAST_MINUTES:
+        entry = campaign.next()
+        if entry is None:
+            break
+        print(f"{entry.name}: {trained(campaign.folder(entry.name))[0]} of {entry.iterations} iterations", flush=True)
+        campaign.train(entry, min(arguments.slice, left))
+    campaign.measure()
+
+
+def command_line(*arguments: object) -> None:
+    """Run `arrive` with these arguments in a process of its own.
+
+    Raises:
+        ArriveError: it failed; what it said is above.
+    """
+    process = subprocess.run([sys.executable, "-m", "arrive.cli", *map(str, arguments)])
+    if process.returncode:
+        raise ArriveError(f"arrive {' '.join(map(str, arguments))} failed")
+
+
+if __name__ == "__main__":
+    try:
+        run(tyro.cli(Arguments, description=__doc__), command_line)
+    except ArriveError as problem:
+        sys.exit(f"campaign: {problem}")

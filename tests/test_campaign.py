@@ -1,0 +1,133 @@
+"""The training queue: order, slices, exact continuation, and what is measured when."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+from arrive.cli import main
+from arrive.errors import ArriveError
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.logs import LOG_NAME
+
+ROOT = Path(__file__).parent.parent
+SPEC = importlib.util.spec_from_file_location("campaign", ROOT / "scripts" / "campaign.py")
+campaign = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(campaign)
+
+QUEUE = """
+[[run]]
+name = "all"
+terrain = "all"
+million_samples = 1.0
+[[run]]
+name = "gap"
+terrain = "gap"
+million_samples = 0.5
+start_from = "all"
+set = ["ppo.gamma=0.99"]
+"""
+ITERATIONS_PER_MINUTE = 4
+
+
+class FakeArrive:
+    """Trains at a fixed pace, on a clock of its own."""
+
+    def __init__(self):
+        self.minutes, self.calls = 0.0, []
+
+    def __call__(self, *arguments) -> None:
+        command, *rest = map(str, arguments)
+        self.calls.append((command, *rest))
+        if command != "train":
+            return
+        options = dict(zip(rest[1::2], rest[2::2], strict=False))
+        folder = Path(options.get("--resume") or options["--out"])
+        iterations, minutes = campaign.trained(folder)
+        spent = float(options["--minutes"]) - minutes
+        total = min(iterations + round(spent * ITERATIONS_PER_MINUTE), int(options["--iterations"]))
+        minutes += (total - iterations) / ITERATIONS_PER_MINUTE
+        self.minutes += (total - iterations) / ITERATIONS_PER_MINUTE
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / CHECKPOINT_NAME).touch()
+        (folder / LOG_NAME).write_text(f"iteration,progress/elapsed_s\n{total},{60.0 * minutes}\n")
+
+    def clock(self) -> float:
+        return 60.0 * self.minutes
+
+
+def arguments(folder: Path, minutes: float, queue: str = QUEUE):
+    (folder / "queue.toml").write_text(queue)
+    return campaign.Arguments(
+        minutes=minutes,
+        slice=10.0,
+        queue=folder / "queue.toml",
+        policies=folder / "policies",
+        table=folder / "results" / "table1.md",
+    )
+
+
+def test_runs_are_trained_in_order_in_slices_and_measured_once_all_samples_are_in(tmp_path):
+    arrive = FakeArrive()
+    campaign.run(arguments(tmp_path, 1000.0), arrive, arrive.clock)
+    trained = [call for call in arrive.calls if call[0] == "train"]
+    # 1.0 and 0.5 million samples are 82 and 41 iterations of 12,288: 20.5 and 10.25 minutes.
+    assert [
+        Path(call[call.index(flag) + 1]).name for call in trained for flag in ("--out", "--resume") if flag in call
+    ] == (["all"] * 3 + ["gap"] * 2)
+    assert campaign.trained(tmp_path / "policies" / "all")[0] == 82
+    first_gap = trained[3]
+    assert first_gap[first_gap.index("--start-from") + 1] == str(tmp_path / "policies" / "all")
+    assert first_gap[-2:] == ("--set", "ppo.gamma=0.99")
+    assert [call[0] for call in arrive.calls[-4:]] == ["eval", "export", "eval", "export"]
+
+
+def test_a_campaign_that_ran_out_of_time_goes_on_where_it_stood(tmp_path):
+    arrive = FakeArrive()
+    campaign.run(arguments(tmp_path, 5.0), arrive, arrive.clock)
+    assert campaign.trained(tmp_path / "policies" / "all") == (20, 5.0)
+    assert {call[0] for call in arrive.calls} == {"train"}  # nothing is finished, nothing is measured
+    arrive.minutes = 0.0
+    campaign.run(arguments(tmp_path, 5.0), arrive, arrive.clock)
+    assert campaign.trained(tmp_path / "policies" / "all") == (40, 10.0)
+    assert "--resume" in arrive.calls[-1]
+
+
+@pytest.mark.parametrize(
+    ("queue", "message"),
+    [
+        ("nonsense", "not a queue"),
+        ('[[run]]\nname = "a"\nterrain = "flat"\n', "not a queue"),
+        ('[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nstart_from = "b"\n', "not in the queue"),
+        ('[[run]]\nname = "a"\nterrain = "nowhere"\nmillion_samples = 1.0\n', "nowhere"),
+    ],
+)
+def test_a_bad_queue_is_refused_before_anything_is_trained(tmp_path, queue, message):
+    arrive = FakeArrive()
+    with pytest.raises(ArriveError, match=message):
+        campaign.run(arguments(tmp_path, 5.0, queue), arrive)
+    assert not arrive.calls
+
+
+def test_the_queue_that_is_committed_can_be_read():
+    entries = campaign.read_queue(ROOT / "scripts" / "campaign.toml")
+    assert entries[0].name == "generalist"
+    assert entries[0].iterations * 12_288 >= 100e6
+    assert {entry.terrain for entry in entries[1:]} == {"stairs", "gap", "pit", "obstacles", "steps", "slope"}
+
+
+def test_the_table_has_the_paper_beside_a_measured_run(tmp_path):
+    folder = tmp_path / "pit"
+    small = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.variants=1", "terrain.levels=2")
+    options = ("--iterations", "1", "--num-envs", "4", "--threads", "1", "--out", str(folder))
+    main(["train", "pit", *options, "--set", *small])
+    level = {"value": 0.05, "episodes": 500, "success": 0.99, "interval": [0.97, 1.0], "failures": {}}
+    limits = {"max_at_95": 0.05, "max_at_80": 0.05, "max_at_50": None}
+    family = {"parameter": "depth", "unit": "m", "levels": [level], **limits}
+    content = {"families": {"pit": family}, "policy": {"samples": 123_000_000}}
+    (folder / "difficulty.json").write_text(json.dumps(content))
+    text = campaign.table_text([campaign.read_run(folder)])
+    row = next(line for line in text.splitlines() if line.startswith("| pit"))
+    assert row.endswith("| 0.1 | 0.65 | 0.95 | 0.05 / 0.05 / - |")
+    assert "123.0 M samples, seed 1" in text
