@@ -2,8 +2,8 @@
 
     python benchmarks/scaling.py [--num-envs 256 512 1024 2048 4096] [--threads 1 2] [--rounds 5] [--out scaling.json]
 
-Every size is measured by `arrive bench` in a process of its own, one after the other, with as many steps per iteration as
-keep its samples the same.
+Every size is measured by `arrive bench` in a process of its own, one after the other, with as many steps per iteration
+as keep its samples the same.
 """
 
 import json
