@@ -59,6 +59,7 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
 
     monkeypatch.setattr(Controller, "_attempt", spy)
     observation = env.get_observations()[POLICY]
+    compared = 0
     for _ in range(50):
         seen.clear()
         actions = robots.act(observation)
@@ -70,9 +71,13 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
         near = observation[:, 9:12].norm(dim=-1) * 2.0 < 5.0
         for same in (slice(0, 6), slice(9, 37)):
             torch.testing.assert_close(mine[near][:, same], observation[near][:, same], atol=1e-4, rtol=0)
-        inside = observation[:, HEIGHTS].abs() < 5.0
+        inside = observation[:, HEIGHTS].abs() < config.observation.height_scale
         torch.testing.assert_close(mine[:, HEIGHTS][inside], observation[:, HEIGHTS][inside], atol=1e-4, rtol=0)
+        compared += 1
         observation = env.step(actions)[0][POLICY]
+        if env.log.finished is not None:  # a clock that goes back to zero is a fault to the controller
+            break
+    assert compared > 20
     assert near.any()
     assert inside.float().mean() > 0.5
 

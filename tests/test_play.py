@@ -24,7 +24,7 @@ from arrive.policies import SHIPPED, open_policy, shipped_file
 from arrive.terrain import FAMILIES
 from arrive.terrain.tile import RASTER_HALF, cell_index
 
-RUN = str(Path(__file__).parents[1] / "results" / "flat-1")
+RUN = str(Path(__file__).parents[1] / "results" / "flat-shipped")
 DOWN = np.array([0.0, 0.0, -1.0])
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from arrive.deployment.policy_file import PolicyFile
 
 SHIPPED: dict[str, str] = {
-    "flat": "trained on flat ground alone (results/flat-1)",
+    "flat": "trained on flat ground alone (results/flat-shipped)",
 }
 """Name and description of each shipped policy; its file is NAME.onnx."""
 DEFAULT = "flat"
