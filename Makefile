@@ -8,7 +8,7 @@ WARP := $(VENV)/.warp
 .PHONY: demo test lint clean
 
 demo: $(STAMP)
-	$(BIN)/arrive train flat --minutes 8 --out runs/demo
+	$(BIN)/arrive train flat --minutes 6 --out runs/demo
 	$(BIN)/arrive eval runs/demo --episodes 1000
 
 test: $(STAMP) $(WARP)
