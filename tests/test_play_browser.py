@@ -36,7 +36,7 @@ OPTIONS = [
     "--enable-unsafe-swiftshader",
     "--window-size=1150,640",
 ]
-PATIENCE_S = 40.0
+PATIENCE_S = 90.0
 STICK_TRAVEL_PX = 46
 
 
