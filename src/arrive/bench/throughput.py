@@ -19,7 +19,8 @@ from arrive.env import ArriveEnv
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import RunLog
 from arrive.learning.trainer import Trainer
-from arrive.physics.cpu import STATE_FIELDS, CpuPhysics
+from arrive.physics.cpu import CpuPhysics
+from arrive.physics.engine import STATE_FIELDS
 
 RATES = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
 """What is measured, each in policy steps or samples per second."""

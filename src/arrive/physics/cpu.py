@@ -9,12 +9,9 @@ from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
-from arrive.physics.engine import Readings
+from arrive.physics.engine import STATE_FIELDS, Readings
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
-
-STATE_FIELDS = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")
-"""The parts of MuJoCo's integration state that this model uses."""
 
 
 class CpuPhysics:

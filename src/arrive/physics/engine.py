@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+STATE_FIELDS = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")
+"""The parts of MuJoCo's integration state that a robot uses."""
+
 
 @dataclass(frozen=True)
 class Readings:

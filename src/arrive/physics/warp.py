@@ -13,16 +13,14 @@ import warp as wp
 from torch import Tensor
 
 from arrive.errors import ArriveError
-from arrive.physics.cpu import MAX_SPEED
-from arrive.physics.engine import Readings
+from arrive.physics.divergence import MAX_SPEED
+from arrive.physics.engine import STATE_FIELDS, Readings
 from arrive.physics.options import PhysicsConfig
 from arrive.physics.template import build_template, differing_fields, static_geoms
 from arrive.physics.warp_contacts import ContactCount, drop_false_contacts
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
 
-STATE_FIELDS = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")
-"""The parts of MuJoCo's integration state that this model uses."""
 ROWS_PER_CONTACT = 4
 """Constraint rows of a contact with sliding friction: four with a pyramidal cone, three with an elliptic one."""
 OWN_LOSS = mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.CCD | mjw.OverflowType.HFIELD

@@ -86,6 +86,13 @@ def foot_acc_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     return state.foot_acc_w.square().sum((-2, -1))
 
 
+def _closing(state: State, command: Command) -> tuple[Tensor, Tensor]:
+    """(n,) horizontal speed towards the target [m/s] and (n,) horizontal distance to it [m]."""
+    offset = (command.target_w - state.base_pos_w)[:, :2]
+    distance = offset.norm(dim=-1)
+    return (state.base_lin_vel_w[:, :2] * offset).sum(-1) / distance.clamp(min=1e-6), distance
+
+
 def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Speed towards the target, up to `approach_speed`; 1 within the arrival radius. Not in the paper.
 
@@ -94,9 +101,7 @@ def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
     Returns:
         (n,) share of `approach_speed`, at most 1.
     """
-    offset = (command.target_w - state.base_pos_w)[:, :2]
-    distance = offset.norm(dim=-1)
-    speed = (state.base_lin_vel_w[:, :2] * offset).sum(-1) / distance.clamp(min=1e-6)
+    speed, distance = _closing(state, command)
     share = (speed / config.approach_speed).clamp(-1.0, 1.0)
     return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
 
@@ -109,9 +114,7 @@ def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
     Returns:
         (n,) share, -1 to 1; 1 within the arrival radius.
     """
-    offset = (command.target_w - state.base_pos_w)[:, :2]
-    distance = offset.norm(dim=-1)
-    speed = (state.base_lin_vel_w[:, :2] * offset).sum(-1) / distance.clamp(min=1e-6)
+    speed, distance = _closing(state, command)
     time_s = (command.time_left_s - config.reward_window_s).clamp(min=LEAST_TIME_S)
     share = speed / (distance / time_s).clamp(*PACES)
     share = torch.where(share > 1.0, (2.0 - share).clamp(min=0.0), share.clamp(min=-1.0))
