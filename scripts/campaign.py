@@ -43,7 +43,8 @@ class Entry:
     terrain: str
     million_samples: float
     start_from: str | None = None
-    """Name of the run whose networks it starts with, once that has all its samples."""
+    """Run whose networks it starts with: one of the queue, once that has all its samples, or a folder like
+    `results/all-1`."""
     seed: int = 1
     set: tuple[str, ...] = ()
     """Changes to the configuration as PATH=VALUE."""
@@ -75,7 +76,7 @@ def read_queue(path: Path) -> list[Entry]:
     """The queue, in order.
 
     Raises:
-        ArriveError: it cannot be read, has unknown keys, or a run starts from none of the others.
+        ArriveError: it cannot be read, has unknown keys, or a run starts from what is neither in the queue nor a run.
     """
     try:
         entries = [Entry(**row | {"set": tuple(row.get("set", ()))}) for row in tomllib.loads(path.read_text())["run"]]
@@ -83,8 +84,9 @@ def read_queue(path: Path) -> list[Entry]:
         raise ArriveError(f"{path} is not a queue of runs: {error}") from error
     names = {entry.name for entry in entries}
     for entry in entries:
-        if entry.start_from is not None and entry.start_from not in names:
-            raise ArriveError(f"{path}: {entry.name} starts from {entry.start_from!r}, which is not in the queue")
+        start = entry.start_from
+        if start is not None and start not in names and not (ROOT / start / CHECKPOINT_NAME).exists():
+            raise ArriveError(f"{path}: {entry.name} starts from {start!r}, neither in the queue nor a run's folder")
     return entries
 
 
@@ -108,6 +110,9 @@ class Campaign:
         """A run's folder."""
         return self._arguments.policies / name
 
+    def _start(self, name: str) -> Path:
+        return self.folder(name) if name in self._goals else ROOT / name
+
     def finished(self, name: str) -> bool:
         """Whether a run has all its samples."""
         return trained(self.folder(name))[0] >= self._goals[name]
@@ -115,7 +120,8 @@ class Campaign:
     def next(self) -> Entry | None:
         """The first run that is unfinished and may begin."""
         for entry in self._entries:
-            if not self.finished(entry.name) and (entry.start_from is None or self.finished(entry.start_from)):
+            begins = entry.start_from not in self._goals or self.finished(entry.start_from)
+            if begins and not self.finished(entry.name):
                 return entry
         return None
 
@@ -127,7 +133,7 @@ class Campaign:
         if iterations:
             self._arrive("train", entry.terrain, "--resume", folder, *common)
             return
-        start = ("--start-from", self.folder(entry.start_from)) if entry.start_from else ()
+        start = ("--start-from", self._start(entry.start_from)) if entry.start_from else ()
         changes = ("--set", *entry.set) if entry.set else ()
         self._arrive("train", entry.terrain, "--out", folder, "--seed", entry.seed, *start, *common, *changes)
 

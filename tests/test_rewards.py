@@ -146,11 +146,11 @@ def test_stand_reward_is_earned_at_rest_at_the_target_in_the_window():
 @pytest.mark.parametrize(
     ("speed", "distance", "time_left_s", "expected"),
     [
-        (0.5, 2.0, 5.0, 1.0),  # 2 m in the 4 s before the window
-        (0.25, 2.0, 5.0, 0.5),
-        (0.75, 2.0, 5.0, 0.5),  # faster than needed
-        (1.5, 2.0, 5.0, 0.0),
-        (-0.5, 2.0, 5.0, -1.0),
+        (0.5, 2.0, 4.0, 1.0),
+        (0.25, 2.0, 4.0, 0.5),
+        (0.75, 2.0, 4.0, 0.5),  # faster than needed
+        (1.5, 2.0, 4.0, 0.0),
+        (-0.5, 2.0, 4.0, -1.0),
         (0.75, 4.0, 1.0, 0.5),  # late: at most 1.5 m/s is asked for
         (9.0, 0.4, 5.0, 1.0),  # there
     ],

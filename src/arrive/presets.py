@@ -33,7 +33,7 @@ def robust() -> Config:
     """What trained best on two cores; the README says what differs from the paper and why."""
     return Config(
         preset="robust",
-        num_envs=512,
+        num_envs=1024,
         observation=ObservationConfig(height_scale=1.0),
         task=TaskConfig(
             episode_min_s=4.0,
@@ -43,7 +43,7 @@ def robust() -> Config:
             rewards=PAPER_REWARDS | {"exploration": 0.0, "approach": 2.0, "crash_cost": -2.0},
         ),
         ppo=PPOConfig(
-            num_steps=24,
+            num_steps=12,
             gamma=0.995,
             desired_kl=0.02,
             entropy_after=0.001,

@@ -107,16 +107,16 @@ def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
 
 
 def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Speed towards the target over what arriving by the start of the reward window takes. Not in the paper.
+    """Speed towards the target over the distance that is left per remaining time. Not in the paper.
 
-    It grows up to that speed and falls again beyond it, so that a robot with time to spare earns by taking it.
+    That speed is what a joystick's pseudo velocity asks for. The reward grows up to it and falls again beyond it, so
+    that a robot with time to spare earns by taking it.
 
     Returns:
         (n,) share, -1 to 1; 1 within the arrival radius.
     """
     speed, distance = _closing(state, command)
-    time_s = (command.time_left_s - config.reward_window_s).clamp(min=LEAST_TIME_S)
-    share = speed / (distance / time_s).clamp(*PACES)
+    share = speed / (distance / command.time_left_s.clamp(min=LEAST_TIME_S)).clamp(*PACES)
     share = torch.where(share > 1.0, (2.0 - share).clamp(min=0.0), share.clamp(min=-1.0))
     return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
 
