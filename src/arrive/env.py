@@ -222,8 +222,7 @@ class ArriveEnv(VecEnv):
         if not len(ids):
             return
         buffers = {name: value[ids] for name, value in self._buffers.items()}
-        readings = Readings(**{name: value[ids] for name, value in vars(self.physics.read()).items()})
-        for name, value in vars(self._state(readings, buffers)).items():
+        for name, value in vars(self._state(self.physics.read(ids), buffers)).items():
             getattr(self.state, name)[ids] = value
         self._buffers["moved"].zero_()
 

@@ -18,6 +18,7 @@ from arrive.config import Config
 from arrive.env import ArriveEnv
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import RunLog
+from arrive.learning.threads import one_torch_thread
 from arrive.learning.trainer import Trainer
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.engine import STATE_FIELDS
@@ -138,6 +139,7 @@ class _Bench:
     def _iterate(self) -> None:
         self._trainer.iterate(self._log.write)
 
+    @one_torch_thread()
     @torch.inference_mode()
     def _simulate(self) -> tuple[float, float]:
         """Seconds that the raw engine and the environment took for the same steps."""

@@ -27,6 +27,7 @@ from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.report import IterationReport
 from arrive.learning.rundir import commit
 from arrive.learning.statistics import TrainingStatistics
+from arrive.learning.threads import one_torch_thread
 
 CHECKPOINT_INTERVAL_S = 120.0
 """Time between checkpoints [s]."""
@@ -154,6 +155,7 @@ class Trainer:
             return broken
         raise error
 
+    @one_torch_thread()
     @torch.inference_mode()
     def collect(self) -> dict[str, float]:
         """Act for an iteration's steps; mean weighted reward per step and term."""

@@ -82,9 +82,10 @@ class CpuPhysics:
         except SimulationError as error:
             self._failed[error.ids] = True
 
-    def read(self) -> Readings:
-        qpos, qvel = _float32(self._state["qpos"]), _float32(self._state["qvel"])
-        sensors = _float32(self._sensors)
+    def read(self, env_ids: Tensor | None = None) -> Readings:
+        rows = slice(None) if env_ids is None else env_ids.numpy()
+        qpos, qvel = _float32(self._state["qpos"][rows]), _float32(self._state["qvel"][rows])
+        sensors = _float32(self._sensors[rows])
         layout = self._layout
         speed = qvel.abs().amax(-1)
         return Readings(
@@ -94,13 +95,13 @@ class CpuPhysics:
             base_ang_vel_b=qvel[:, 3:6],
             joint_pos=qpos[:, 7:],
             joint_vel=qvel[:, 6:],
-            joint_torque=_float32(self._torque),
+            joint_torque=_float32(self._torque[rows]),
             foot_vel_w=sensors[:, layout.foot_velocity].unflatten(1, (self._num_feet, 3)),
             crash_contacts=sensors[:, layout.crash_contacts].sum(-1),
             collision_contacts=(sensors[:, layout.collision_contacts] > 0).float().sum(-1),
             foot_contacts=sensors[:, layout.foot_contacts],
             # A NaN compares false, so it fails the bound too.
-            finite=(speed < MAX_SPEED) & qpos.isfinite().all(-1) & ~torch.from_numpy(self._failed.copy()),
+            finite=(speed < MAX_SPEED) & qpos.isfinite().all(-1) & ~torch.from_numpy(self._failed[rows].copy()),
         )
 
     def state_dict(self) -> dict[str, Tensor]:

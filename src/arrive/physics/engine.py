@@ -67,8 +67,8 @@ class Physics(Protocol):
     def step(self, joint_targets: Tensor) -> None:
         """Advance one policy step with (num_envs, num_joints) joint targets [rad]."""
 
-    def read(self) -> Readings:
-        """The robots as they are now."""
+    def read(self, env_ids: Tensor | None = None) -> Readings:
+        """The robots as they are now: all, or (n,) these in this order."""
 
     def state_dict(self) -> dict[str, Tensor]:
         """Everything needed to go on exactly from here."""

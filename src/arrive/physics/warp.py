@@ -202,10 +202,11 @@ class WarpPhysics:
                 f"set physics.max_contacts to {2 * room} or more"
             )
 
-    def read(self) -> Readings:
-        qpos, qvel, sensors = self._state["qpos"].clone(), self._state["qvel"].clone(), self._sensors.clone()
-        crash, collision, foot = self._contacts.read()
-        own_loss = (self._overflow & int(OWN_LOSS)) != 0
+    def read(self, env_ids: Tensor | None = None) -> Readings:
+        rows = torch.arange(self.num_envs, device=self.device) if env_ids is None else env_ids
+        qpos, qvel, sensors = self._state["qpos"][rows], self._state["qvel"][rows], self._sensors[rows]
+        crash, collision, foot = (contacts[rows] for contacts in self._contacts.read())
+        own_loss = (self._overflow[rows] & int(OWN_LOSS)) != 0
         return Readings(
             base_pos_w=qpos[:, :3],
             base_quat_w=qpos[:, 3:7],
@@ -213,7 +214,7 @@ class WarpPhysics:
             base_ang_vel_b=qvel[:, 3:6],
             joint_pos=qpos[:, 7:],
             joint_vel=qvel[:, 6:],
-            joint_torque=self._torque.clone(),
+            joint_torque=self._torque[rows],
             foot_vel_w=sensors[:, self._layout.foot_velocity].unflatten(1, (-1, 3)),
             crash_contacts=crash.sum(-1),
             collision_contacts=(collision > 0).float().sum(-1),
