@@ -227,9 +227,9 @@ def test_far_target_is_pulled_near_at_the_same_pace():
         ((1.0, 0.0), math.pi / 2, (1.0, 5.0), 2.0),
         # Forward means the world's y axis.
         ((1.0, 0.0, math.pi / 2), 2.5, (1.0, 5.0), 2.0),
-        # Half way between dead zone and full: half way between 0.5 and 1.5 m/s.
-        ((0.55, 0.0), 0.0, (4.0, 2.0), 3.0),
-        ((0.1, 0.0), 0.0, (4.0, 2.0), 6.0),
+        # Half way between dead zone and full: half way between 3 m in 4.5 s and 1.5 m/s.
+        ((0.55, 0.0), 0.0, (4.0, 2.0), 3.0 / ((2.0 / 3.0 + 1.5) / 2.0)),
+        ((0.1, 0.0), 0.0, (4.0, 2.0), 4.5),
     ],
 )
 def test_joystick_puts_the_target_3_m_away_and_scales_time(stick, yaw, target, time_left):

@@ -18,6 +18,8 @@ class ObservationConfig:
 
     noise: bool = True
     """Whether noise is added."""
+    noise_least: float = 1.0
+    """Least share of the noise: below 1 each robot's share is drawn anew at every step of training, uniform up to 1."""
     noise_lin_vel: float = 0.1
     """Base linear velocity [m/s]."""
     noise_ang_vel: float = 0.2

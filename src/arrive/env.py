@@ -90,7 +90,8 @@ class ArriveEnv(VecEnv):
         """Whether to take down the last observation of every episode, which costs a second look at all robots."""
         self._terms = _weighted_terms(task, config.task.rewards)
         self._grid = HeightGrid(config.observation).points.to(self.device)
-        self.observer = Observer(task.observation_terms(robot), config.observation.noise, self.device)
+        sensing = config.observation
+        self.observer = Observer(task.observation_terms(robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
         self._down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
         dealt = torch.arange(self.num_envs, device=self.device) % len(pool.families)

@@ -28,6 +28,8 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     for name in ("gamma", "lam"):
         yield f"ppo.{name}", getattr(ppo, name), "between 0 and 1", 0.0 <= getattr(ppo, name) <= 1.0
     yield "terrain.families", terrain.families, "at least one family", bool(terrain.families)
+    least = config.observation.noise_least
+    yield "observation.noise_least", least, "between 0 and 1", 0.0 <= least <= 1.0
     start = terrain.start_level
     yield "terrain.start_level", start, f"between 0 and {terrain.levels - 1}", 0 <= start < max(terrain.levels, 1)
     yield "task.episode_min_s", task.episode_min_s, "at most task.episode_s", task.episode_min_s <= task.episode_s

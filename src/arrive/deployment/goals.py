@@ -13,6 +13,8 @@ JOYSTICK_DISTANCE = 3.0
 """The pseudo target lies this far away (paper, section Energy Consumption) [m]."""
 FASTEST_S = 2.0
 """Remaining time at full stick: 3 m in 2 s [s]."""
+SLOWEST_SHARE = 0.75
+"""Remaining time at the slowest, as a share of the episode: longer ones were seen in training's first moments only."""
 DEAD_ZONE = 0.1
 """A stick nearer to its centre than this asks the robot to stop."""
 
@@ -97,7 +99,7 @@ def hold_time(task: TaskSpec) -> float:
 
 def walking_speeds(task: TaskSpec) -> tuple[float, float]:
     """Slowest and fastest pseudo velocity [m/s]."""
-    slowest = JOYSTICK_DISTANCE / task.episode_s
+    slowest = JOYSTICK_DISTANCE / (SLOWEST_SHARE * task.episode_s)
     return slowest, max(slowest, JOYSTICK_DISTANCE / FASTEST_S)
 
 

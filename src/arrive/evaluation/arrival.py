@@ -132,8 +132,8 @@ def evaluate(
 ) -> Arrival:
     """Measure the success rate on terrain that the policy was not trained on.
 
-    But for the setting, commands, noise, friction, payload and pushes are those of its training; every episode has
-    the full length and one target.
+    But for the setting, commands, friction, payload and pushes are those of its training; every episode has the full
+    noise, the full length and one target.
 
     Args:
         episodes: per cell.
@@ -181,6 +181,7 @@ def _environment(
         num_envs=len(part),
         seed=seed,
         terrain=replace(config.terrain, families=tuple(families), variants=setting.variants or config.terrain.variants),
+        observation=replace(config.observation, noise_least=1.0),
         randomisation=setting.randomise(config.randomisation),
         task=replace(config.task, episode_min_s=config.task.episode_s, retarget_s=0.0),
     )

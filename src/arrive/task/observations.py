@@ -104,10 +104,15 @@ def relative_heights(state: State, command: Command) -> Tensor:
 class Observer:
     """Computes the observation vector from its terms."""
 
-    def __init__(self, terms: tuple[ObservationTerm, ...], noisy: bool, device: torch.device):
+    def __init__(self, terms: tuple[ObservationTerm, ...], noisy: bool, device: torch.device, noise_least: float = 1.0):
+        """Add up the terms.
+
+        Args:
+            noise_least: share of the noise that every robot gets; how much of the rest is drawn for each anew.
+        """
         self.terms = terms
         self.size = sum(term.size for term in terms)
-        self._noisy = noisy
+        self._noisy, self._noise_least = noisy, noise_least
         self._scale = self._spread([term.scale for term in terms], device)
         self._noise = self._spread([term.scale * term.noise for term in terms], device)
 
@@ -121,6 +126,9 @@ class Observer:
         if not self._noisy:
             return clean
         noise = torch.rand(clean.shape, generator=generator, device=clean.device).mul_(2.0).sub_(1.0)
+        if self._noise_least < 1.0:
+            share = torch.rand(len(clean), 1, generator=generator, device=clean.device)
+            noise *= torch.lerp(torch.full_like(share, self._noise_least), torch.ones_like(share), share)
         return clean.addcmul_(noise, self._noise)
 
     def schema(self) -> list[dict[str, Any]]:
