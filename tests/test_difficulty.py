@@ -167,8 +167,8 @@ def played(task: str, move, family: str = "flat", value: float = 0.0, crash: int
     read, start = env.physics.read, env.state.base_pos_w.clone()
     clock = {"step": 0}
 
-    def scripted():
-        readings = read()
+    def scripted(env_ids=None):
+        readings = read(env_ids)
         position = torch.tensor([move(clock["step"] * DT, env.task)]) if clock["step"] else start
         contacts = torch.full((1,), float(clock["step"] == crash))
         return replace(readings, base_pos_w=position.float(), crash_contacts=contacts)
@@ -395,7 +395,10 @@ def test_a_retired_robot_neither_moves_nor_ends_again():
     two = torch.zeros(2, dtype=torch.long)
     env = build_env(configured("final", num_envs=2), Placement(assignment=(two, two)), threads=1)
     read = env.physics.read
-    env.physics.read = lambda: replace(read(), crash_contacts=torch.tensor([1.0, 0.0]))
+    crashes = torch.tensor([1.0, 0.0])
+    env.physics.read = lambda env_ids=None: replace(
+        read(env_ids), crash_contacts=crashes if env_ids is None else crashes[env_ids]
+    )
     env.step(torch.zeros(2, 12))
     assert env.log.finished.env_ids.tolist() == [0]
     env.retire(torch.tensor([0]))

@@ -17,12 +17,14 @@ from arrive.errors import ArriveError
 from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import Arrival, CellResult, cells_of
 from arrive.evaluation.arrival import evaluate as evaluate_policy
+from arrive.evaluation.card import write_card
 from arrive.evaluation.diagnosis import why_stuck
 from arrive.evaluation.graphics import GraphicsUnavailable
 from arrive.evaluation.pictures import Episode, film, picture_strip
 from arrive.evaluation.policy import Policy, load_policy
-from arrive.evaluation.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES
+from arrive.evaluation.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES, read_run
 from arrive.evaluation.report import write_report
+from arrive.learning.rundir import CONFIG_NAME
 from arrive.physics.device import choose_device, describe_device
 from arrive.terrain import parse_families
 
@@ -86,6 +88,8 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     write_json(command.json or folder / DIFFICULTY_NAME, answer.content)
     pictures = command.pictures or folder / DIFFICULTY_PICTURES
     _write_pictures(pictures, answer.episodes, names=list(answer.results))
+    if command.json is None and (folder / CONFIG_NAME).is_file():
+        print(f"card: {write_card(read_run(folder), folder)}")
 
 
 def _print_results(results: list[CellResult]) -> None:

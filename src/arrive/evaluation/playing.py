@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from arrive.env import POLICY, ArriveEnv
+from arrive.evaluation.motion import MotionMeter
 from arrive.evaluation.pictures import Episode
 from arrive.physics.world import compile_world
 
@@ -46,6 +47,8 @@ class Played:
     """(longest episode + 1, watched robots, nq) poses in MuJoCo's order."""
     watched: Tensor
     """(watched robots,) which robots were recorded."""
+    motion: dict[str, Tensor]
+    """(n,) each, how the robots moved."""
 
 
 def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lambda done, total: None) -> Played:
@@ -67,7 +70,9 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lam
         trace_w=env.state.base_pos_w.cpu().repeat(env.max_episode_length + 1, 1, 1),
         qpos=np.zeros(0),
         watched=watched,
+        motion={},
     )
+    meter = MotionMeter(env)
     waiting = torch.ones(n, dtype=torch.bool)
     observation, poses = env.get_observations()[POLICY], [_poses(env, watched)]
     for step in range(env.max_episode_length):
@@ -75,11 +80,12 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lam
         poses.append(_poses(env, watched))
         played.reached[waiting & env.log.success.cpu() & (played.reached == 0)] = step + 1
         _note_ended(env, played, waiting, step + 1)
+        meter.take(env.state, waiting, step + 1)
         played.trace_w[step + 1] = torch.where(waiting[:, None], env.state.base_pos_w.cpu(), played.trace_w[step])
         progress(step + 1, env.max_episode_length)
         if not bool(waiting.any()):
             break
-    played.qpos = np.stack(poses)
+    played.qpos, played.motion = np.stack(poses), meter.means()
     return played
 
 

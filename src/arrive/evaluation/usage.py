@@ -1,4 +1,4 @@
-"""How a policy uses its time: when it arrives, how long its path is, how fast it is at what moment."""
+"""How a policy uses its time and its body: when it arrives, how long its path is, how fast it is, how it moves."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from arrive.evaluation.arrival import Arrival
+from arrive.evaluation.motion import UNITS, summary
 from arrive.evaluation.playing import Played
 
 SAMPLE_S = 0.2
@@ -13,7 +14,7 @@ SAMPLE_S = 0.2
 
 
 def usage_of(answer: Arrival, control_dt: float) -> list[dict[str, Any]]:
-    """Arrival time, path length and speed profile of the successful episodes of every cell.
+    """Arrival time, path length, speed profile and motion of the successful episodes of every cell.
 
     Arrival is the first moment at which the episode would have been a success if it had ended; the path is measured
     horizontally up to then, the profile over the whole episode.
@@ -22,6 +23,7 @@ def usage_of(answer: Arrival, control_dt: float) -> list[dict[str, Any]]:
     success = torch.cat([part.success for part in answer.played])
     arrival_s = torch.cat([part.reached for part in answer.played]) * control_dt
     ways = torch.cat([_ways(part, stride) for part in answer.played], dim=1)
+    motion = {name: torch.cat([part.motion[name] for part in answer.played]) for name in UNITS}
     rows = []
     for index, result in enumerate(answer.results):
         mine = success & (answer.cell_of_episode == index)
@@ -36,6 +38,7 @@ def usage_of(answer: Arrival, control_dt: float) -> list[dict[str, Any]]:
                     "time_s": [round(t, 3) for t in (times - SAMPLE_S / 2).tolist()],
                     "mean_m_s": [round(v, 4) for v in (ways[:, mine].mean(1) / SAMPLE_S).tolist()],
                 },
+                "motion": summary(motion, mine),
             }
         rows.append(row)
     return rows

@@ -1,0 +1,93 @@
+"""A policy's card: one page of Markdown that says what it is, what it solves, and how it moves."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from arrive.errors import ArriveError
+from arrive.evaluation.arrival import CellResult
+from arrive.evaluation.difficulty import SHARES
+from arrive.evaluation.motion import UNITS
+from arrive.evaluation.records import DIFFICULTY_PICTURES, Run
+from arrive.learning.curves import CURVES_NAME
+
+CARD_NAME = "card.md"
+
+
+def write_card(run: Run, folder: Path) -> Path:
+    """Write the card of a measured run into its folder.
+
+    Raises:
+        ArriveError: it was not measured, or the file cannot be written.
+    """
+    if run.difficulty is None:
+        raise ArriveError(f"{run.name} was not measured: run `arrive eval --protocol difficulty {folder}` first")
+    path = folder / CARD_NAME
+    try:
+        path.write_text(card_text(run, (folder / CURVES_NAME).is_file()))
+    except OSError as error:
+        raise ArriveError(f"cannot write {path}: {error}") from error
+    return path
+
+
+def card_text(run: Run, with_curves: bool) -> str:
+    """The card of a measured run; paths in it are relative to the run's folder."""
+    config, protocol = run.record["config"], run.difficulty["protocol"]
+    minutes = run.log["progress/elapsed_s"][-1] / 60.0 if run.log.get("progress/elapsed_s") else float("nan")
+    figures = "; ".join(f"`{name}` is the {text}" for name, text in UNITS.items())
+    parts = [
+        f"# {run.name}",
+        f"{config['robot']}, task `{config['task']['name']}`, preset `{config['preset']}`, networks "
+        f"{'-'.join(map(str, config['ppo']['hidden']))}, trained on {', '.join(config['terrain']['families'])} for "
+        f"{run.samples / 1e6:.1f} million samples in {minutes:.0f} minutes, seed {config['seed']}, commit "
+        f"{run.record['commit'][:10]}:",
+        f"```sh\n{run.record['command']}\n```",
+        "## What it solves",
+        f"`arrive eval --protocol difficulty`: {protocol['episodes']} episodes per level, seed {protocol['seed']}; "
+        f"success is {protocol['success'].partition(';')[0]}. Commit {run.difficulty['commit'][:10]}.",
+        _solved(run),
+        *(_family(run, name, results) for name, results in run.results().items()),
+        "## How it moves",
+        f"Successful episodes, from start to end: {figures}.",
+        _motion(run),
+    ]
+    if with_curves:
+        parts += ["## How it was learnt", f"![curves]({CURVES_NAME})"]
+    return "\n\n".join(parts) + "\n"
+
+
+def _solved(run: Run) -> str:
+    """The hardest parameter solved with each share of success, a line per family."""
+    head = ["terrain", *(f"solved with {share:.0%}" for share in SHARES)]
+    rows = []
+    for name, entry in run.difficulty["families"].items():
+        limits = [entry[f"max_at_{share * 100:.0f}"] for share in SHARES]
+        rows.append([name, *("-" if limit is None else f"{limit:g} {entry['unit']}" for limit in limits)])
+    return _table(head, rows)
+
+
+def _family(run: Run, name: str, results: Sequence[CellResult]) -> str:
+    unit = results[0].cell.family.unit
+    rows = []
+    for result in results:
+        low, high = result.interval
+        failures = ", ".join(f"{cause} {count}" for cause, count in sorted(result.failures.items()))
+        value = f"{result.cell.value:g} {unit}" if unit else ""
+        rows.append([value, f"{result.success:.1%}", f"{low:.1%} to {high:.1%}", failures])
+    text = f"### {name}\n\n" + _table(["parameter", "success", "95 % interval", "failures"], rows)
+    return text + (f"\n\n![{name}]({DIFFICULTY_PICTURES}/{name}.png)" if name in run.pictures else "")
+
+
+def _motion(run: Run) -> str:
+    rows = []
+    for name, levels in run.difficulty["policy"]["usage"].items():
+        for level in levels:
+            motion = level.get("motion")
+            if motion:
+                figures = ("-" if motion[figure] is None else f"{motion[figure]:.3g}" for figure in UNITS)
+                rows.append([f"{name} {level['value']:g}", str(level["episodes"]), *figures])
+    return _table(["terrain", "episodes", *(f"`{figure}`" for figure in UNITS)], rows)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
