@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from arrive import cli
+from arrive import cli, policies
 from arrive.deployment.policy_file import read_policy_file
 from arrive.errors import ArriveError
+from arrive.evaluation.policy import load_policy
 from arrive.play import shapes
 from arrive.play.history import WINDOW_S, History
 from arrive.play.pace import LARGEST_DELAY_S, Pace
@@ -24,7 +25,7 @@ from arrive.policies import SHIPPED, open_policy, shipped_file
 from arrive.terrain import FAMILIES
 from arrive.terrain.tile import RASTER_HALF, cell_index
 
-RUN = str(Path(__file__).parents[1] / "results" / "flat-shipped")
+RUN = Path(__file__).parents[1] / "results" / "flat-shipped"
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -339,7 +340,7 @@ def test_shipped_policies_have_names_and_files():
 def test_the_default_policy_is_what_the_results_hold(tmp_path):
     weights = open_policy().meta["weights"]
     assert open_policy("flat").meta["weights"] == weights
-    assert open_policy(RUN).meta["weights"] == weights
+    assert open_policy(str(RUN)).meta["weights"] == weights
     assert open_policy(f"{RUN}/policy.pt").meta["weights"] == weights
     copy = tmp_path / "copy.onnx"
     copy.write_bytes(shipped_file("flat").read_bytes())
@@ -347,8 +348,20 @@ def test_the_default_policy_is_what_the_results_hold(tmp_path):
 
 
 def test_an_unknown_policy_names_the_shipped_ones():
-    with pytest.raises(ArriveError, match=r"no policy 'flta'.*shipped policy: flat"):
+    with pytest.raises(ArriveError, match=r"no policy 'flta'.*name of a policy: flat"):
         open_policy("flta")
+
+
+def test_run_folders_of_the_checkout_have_names(capsys, monkeypatch):
+    monkeypatch.setattr(policies, "TRAINED", RUN.parent)
+    assert policies.find_run(Path(RUN.name)) == RUN
+    assert open_policy(RUN.name).meta["weights"] == open_policy(str(RUN)).meta["weights"]
+    assert load_policy(Path(RUN.name)).path == RUN / "policy.pt"
+    # A path that exists, or that is more than a name, is taken as it is.
+    assert policies.find_run(RUN) == RUN
+    assert policies.find_run(Path("elsewhere") / RUN.name) == Path("elsewhere") / RUN.name
+    cli.main(["list", "policies"])
+    assert RUN.name in capsys.readouterr().out
 
 
 def test_list_names_the_shipped_policies(capsys):

@@ -47,7 +47,7 @@ class Eval:
     """Measure how often policies succeed, per terrain and level, and say why they fail."""
 
     policy: tyro.conf.Positional[Path]
-    """Run folder or policy file."""
+    """Run folder, policy file or name of a trained policy, see `arrive list`."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, measured one after the other."""
     protocol: Literal["arrival", "difficulty"] = "arrival"
@@ -89,7 +89,7 @@ class Drive:
     """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a shipped policy; a shipped one by default."""
+    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `flat` by default."""
     terrain: str = "flat"
     """Terrain family."""
     level: int = 0
@@ -109,7 +109,7 @@ class Play:
     """Drive a robot in the browser, run by the same controller as a real one."""
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list`; `flat` by default."""
+    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `flat` by default."""
     terrain: str = "flat"
     """Terrain family, see `arrive list`."""
     level: int = 0
@@ -127,7 +127,7 @@ class Export:
     """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
 
     policy: tyro.conf.Positional[Path]
-    """Run folder or policy file."""
+    """Run folder, policy file or name of a trained policy, see `arrive list`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("policy.onnx")
     """File to write."""
 

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from arrive.errors import unknown_name
-from arrive.policies import SHIPPED
+from arrive.policies import SHIPPED, TRAINED, trained_names
 from arrive.presets import PRESETS
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
@@ -28,7 +28,7 @@ def list_names(command: List) -> None:
         "tasks": {name: _first_line(task) for name, task in TASKS.items()},
         "rewards": {name: _first_line(term) for task in TASKS.values() for name, term in task.rewards.items()}
         | {CRASH_COST: "Paid once, at a crash."},
-        "policies": SHIPPED,
+        "policies": SHIPPED | dict.fromkeys(trained_names(), f"a run in {TRAINED.name}/ of this checkout"),
     }
     if command.what is not None and command.what not in names:
         raise unknown_name("list", command.what, names)

@@ -14,6 +14,7 @@ from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import POLICY_NAME, check_schema, load_checked
 from arrive.learning.ppo import make_actor
+from arrive.policies import find_run
 
 CPU = torch.device("cpu")
 
@@ -51,11 +52,13 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     """Read a policy file, or the policy in a run folder; nothing from the file is executed.
 
     Args:
+        path: of the file or the folder, or the name of a folder in `policies/`.
         device: where it acts, and where the environments that it is measured in live.
 
     Raises:
         ArriveError: missing, truncated, foreign, or its networks do not fit its configuration.
     """
+    path = find_run(path)
     path = path / POLICY_NAME if path.is_dir() else path
     content = load_checked(path)
     if "actor" not in content:

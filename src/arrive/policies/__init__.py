@@ -1,4 +1,7 @@
-"""Exported policies that come with the package; another is a file beside this one and a line in `SHIPPED`."""
+"""Policies by name: exported ones that come with the package, and the run folders of a checkout's `policies/`.
+
+Another exported one is a file beside this one and a line in `SHIPPED`.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,8 @@ SHIPPED: dict[str, str] = {
 DEFAULT = "flat"
 """The one that is run where none is named."""
 EXPORTED = ".onnx"
+TRAINED = Path(__file__).parents[3] / "policies"
+"""Run folders that `scripts/campaign.py` makes; an installed package has none."""
 
 
 def shipped_file(name: str) -> Path:
@@ -25,12 +30,22 @@ def shipped_file(name: str) -> Path:
     return Path(__file__).parent / f"{name}{EXPORTED}"
 
 
+def trained_names() -> list[str]:
+    """Names of the run folders in `TRAINED`."""
+    return sorted(path.name for path in TRAINED.glob("*") if path.is_dir())
+
+
+def find_run(path: Path) -> Path:
+    """The path itself, or the folder in `TRAINED` of that name where nothing lies at the path."""
+    return path if path.exists() or path.name not in trained_names() or path.name != str(path) else TRAINED / path
+
+
 def open_policy(name: str | None = None) -> PolicyFile:
     """Read the policy that a person names on the command line.
 
     Args:
-        name: of a shipped policy, a run folder, a `policy.pt` or a file of `arrive export`; `DEFAULT` if there is none.
-            What lies in a folder of the same name as a shipped policy is opened by ./NAME.
+        name: of a shipped or trained policy, a run folder, a `policy.pt` or a file of `arrive export`; `DEFAULT` if
+            there is none. What lies in a folder of the same name as a shipped policy is opened by ./NAME.
 
     Raises:
         ArriveError: it is none of these, or cannot be read.
@@ -39,7 +54,7 @@ def open_policy(name: str | None = None) -> PolicyFile:
     from arrive.deployment.policy_file import read_policy_file
 
     name = name or DEFAULT
-    path = Path(name)
+    path = find_run(Path(name))
     if name in SHIPPED:
         return read_policy_file(shipped_file(name))
     if path.is_file() and path.suffix == EXPORTED:
@@ -48,7 +63,7 @@ def open_policy(name: str | None = None) -> PolicyFile:
         return _exported(path)
     raise ArriveError(
         f"there is no policy {name!r}. Give a run folder, a policy.pt, an exported {EXPORTED} file, "
-        f"or the name of a shipped policy: {', '.join(sorted(SHIPPED))}"
+        f"or the name of a policy: {', '.join([*sorted(SHIPPED), *trained_names()])}"
     )
 
 
