@@ -350,6 +350,14 @@ def test_a_run_can_start_from_the_networks_of_another(tmp_path):
     assert (trainer.iteration, trainer.samples) == (0, 0)
 
 
+def test_a_warm_start_can_begin_with_another_action_noise(tmp_path):
+    train("flat", tmp_path / "first", 1)
+    trainer = make_trainer(tmp_path / "second", "ppo.warm_std=0.15")
+    trainer.warm_start(tmp_path / "first" / "checkpoint.pt")
+    std = trainer.algorithm.get_policy().distribution.log_std_param.detach().exp()
+    torch.testing.assert_close(std, torch.full_like(std, 0.15))
+
+
 # Every terrain.
 
 

@@ -19,7 +19,7 @@ class ObservationConfig:
     noise: bool = True
     """Whether noise is added."""
     noise_least: float = 1.0
-    """Least share of the noise: below 1 each robot's share is drawn anew at every step of training, uniform up to 1."""
+    """Least share of the noise in training: robots get shares from this to 1, evenly spread, each its own for ever."""
     noise_lin_vel: float = 0.1
     """Base linear velocity [m/s]."""
     noise_ang_vel: float = 0.2
@@ -143,6 +143,8 @@ class PPOConfig:
     """Gradients are clipped to this norm."""
     init_std: float = 1.0
     """First standard deviation of the action noise, whose logarithm is learnt."""
+    warm_std: float = 0.0
+    """The same where a run starts from another's networks; 0 keeps theirs."""
     hidden: tuple[int, ...] = (512, 256, 128)
     """Hidden layers of actor and critic."""
     precision: Precision = "float32"

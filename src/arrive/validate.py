@@ -30,6 +30,7 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     yield "terrain.families", terrain.families, "at least one family", bool(terrain.families)
     least = config.observation.noise_least
     yield "observation.noise_least", least, "between 0 and 1", 0.0 <= least <= 1.0
+    yield "ppo.warm_std", ppo.warm_std, "0 or more and finite", 0.0 <= ppo.warm_std < math.inf
     start = terrain.start_level
     yield "terrain.start_level", start, f"between 0 and {terrain.levels - 1}", 0 <= start < max(terrain.levels, 1)
     yield "task.episode_min_s", task.episode_min_s, "at most task.episode_s", task.episode_min_s <= task.episode_s

@@ -1,6 +1,7 @@
 """The training loop: collect, learn, report, and never lose more than the last interval."""
 
 import copy
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -322,12 +323,14 @@ class Trainer:
         return state if self.ranks.leads else state | others[self.ranks.rank - 1]
 
     def warm_start(self, path: Path) -> None:
-        """Take networks and optimiser from another run's checkpoint, and nothing else."""
+        """Take networks and optimiser from another run's checkpoint, the action noise if wished, and nothing else."""
         content = self._load_matching(path)
         try:
             self.algorithm.load(content["state"]["algorithm"], None, True)
         except (KeyError, RuntimeError) as error:
             raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
+        if self.config.ppo.warm_std > 0.0:
+            self.algorithm.get_policy().distribution.log_std_param.data.fill_(math.log(self.config.ppo.warm_std))
 
     def _load_matching(self, path: Path) -> dict:
         content = load_checked(path)

@@ -108,7 +108,7 @@ class Observer:
         """Add up the terms.
 
         Args:
-            noise_least: share of the noise that every robot gets; how much of the rest is drawn for each anew.
+            noise_least: share of the noise that the first robot gets; the last one gets all, others in even steps.
         """
         self.terms = terms
         self.size = sum(term.size for term in terms)
@@ -127,8 +127,7 @@ class Observer:
             return clean
         noise = torch.rand(clean.shape, generator=generator, device=clean.device).mul_(2.0).sub_(1.0)
         if self._noise_least < 1.0:
-            share = torch.rand(len(clean), 1, generator=generator, device=clean.device)
-            noise *= torch.lerp(torch.full_like(share, self._noise_least), torch.ones_like(share), share)
+            noise *= torch.linspace(self._noise_least, 1.0, len(clean), device=clean.device).unsqueeze(-1)
         return clean.addcmul_(noise, self._noise)
 
     def schema(self) -> list[dict[str, Any]]:
