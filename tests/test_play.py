@@ -431,7 +431,7 @@ def test_what_the_command_is_asked_is_checked(capsys):
     pytest.importorskip("viser")
     assert "Valid:" in refused(capsys, "--terrain", "moon")
     assert "levels are" in refused(capsys, "--terrain", "gap", "--level", "10")
-    assert "shipped" in refused(capsys, "nothing")
+    assert "name of a policy: flat" in refused(capsys, "nothing")
 
 
 def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):
