@@ -82,7 +82,7 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
     assert inside.float().mean() > 0.5
 
 
-def test_controllers_keep_the_time_that_is_left_at_the_reward_window(policy, file, monkeypatch):
+def test_controllers_tell_the_time_that_is_left_down_to_half_a_second(policy, file, monkeypatch):
     config = override(policy.config, ("num_envs=1", "terrain.variants=1"))
     env = build_env(config, Placement(assignment=(torch.zeros(1).long(), torch.zeros(1).long())), threads=1)
     robots, told = ControlledRobots(env, file), []
@@ -94,11 +94,11 @@ def test_controllers_keep_the_time_that_is_left_at_the_reward_window(policy, fil
         return observation, order
 
     monkeypatch.setattr(Controller, "observe", spy)
-    env.task.command.time_left_s[:] = 2.5
-    for _ in range(50):
+    env.task.command.time_left_s[:] = 1.0
+    for _ in range(45):
         env.step(robots.act(env.get_observations()[POLICY]))
-    assert told[0] == pytest.approx(2.5)
-    assert told[24:] == pytest.approx([2.02, *[2.0] * 25])
+    assert told[0] == pytest.approx(1.0)
+    assert told[24:] == pytest.approx([0.52, *[0.5] * 20])
 
 
 @pytest.mark.parametrize("family", ["flat", "rough"])

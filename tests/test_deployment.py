@@ -205,8 +205,9 @@ def test_target_counts_down_then_holds():
     goal = Target((3.0, 0.0, 0.5), 5.0)
     assert order(goal).time_left_s == 5.0
     assert order(goal, now=2.5).time_left_s == 2.5
-    # The reward window of 2 s is the least the policy is told.
-    assert order(goal, now=4.5)[1:] == (2.0, "target", "")
+    # Half a second is the least the policy is told; when time is over, the reward window.
+    assert order(goal, now=4.4).time_left_s == pytest.approx(0.6)
+    assert order(goal, now=4.9)[1:] == (0.5, "target", "")
     assert order(goal, now=60.0)[1:] == (2.0, "hold", "time is over")
     assert order(goal, now=-10.0).time_left_s == 6.0
 
@@ -237,6 +238,29 @@ def test_joystick_puts_the_target_3_m_away_and_scales_time(stick, yaw, target, t
     np.testing.assert_allclose(result.target_w, (*target, 0.2), atol=1e-12)
     assert result.time_left_s == pytest.approx(time_left)
     assert result.mode == "joystick"
+
+
+def test_a_reversed_stick_turns_the_pseudo_velocity_at_2_m_per_s2():
+    navigator = Navigator(TASK)
+
+    def asked(stick: float, now_s: float) -> tuple[float, float]:
+        """Distance along x and remaining time."""
+        given = navigator.order(Joystick(stick, 0.0), np.zeros(3), 0.0, 0.0, now_s)
+        return given.target_w[0], given.time_left_s
+
+    assert asked(1.0, 10.0) == pytest.approx((3.0, 2.0))  # from standing at once
+    assert asked(-1.0, 10.1) == pytest.approx((3.0, 3.0 / 1.3))
+    # Slower than 3 m in 4.5 s the target comes nearer instead.
+    assert asked(-1.0, 10.5) == pytest.approx((0.5 * 4.5, 4.5))
+    assert asked(-1.0, 10.75) == pytest.approx((0.0, 4.5))
+    assert asked(-1.0, 11.5) == pytest.approx((-3.0, 2.0))
+    # A stop holds the place at once, and the next stick begins from the speed that was left.
+    stop = navigator.order(Joystick(0.0, 0.0), np.zeros(3), 0.0, 0.0, 11.75)
+    assert (stop.mode, stop.target_w[0]) == ("stop", 0.0)
+    assert asked(-1.0, 11.76) == pytest.approx((-3.0, 3.0 / 1.02))
+    # Another kind of goal forgets.
+    navigator.order(Target((1.0, 0.0, 0.5), 14.0), np.zeros(3), 0.0, 0.0, 11.78)
+    assert asked(1.0, 11.8) == pytest.approx((3.0, 2.0))
 
 
 def test_joystick_scales_the_distance_of_a_continuous_policy():

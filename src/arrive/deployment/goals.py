@@ -15,6 +15,10 @@ FASTEST_S = 2.0
 """Remaining time at full stick: 3 m in 2 s [s]."""
 SLOWEST_SHARE = 0.75
 """Remaining time at the slowest, as a share of the episode: longer ones were seen in training's first moments only."""
+LEAST_S = 0.5
+"""The remaining time on the way to a target is told down to this; when it is over, the hold time is [s]."""
+STICK_ACCELERATION = 2.0
+"""What a stick asks for while it drives changes by no more than this: a reversal at full speed takes 1.5 s [m/s^2]."""
 DEAD_ZONE = 0.1
 """A stick nearer to its centre than this asks the robot to stop."""
 
@@ -143,9 +147,9 @@ class Order(NamedTuple):
 class Navigator:
     """Turns a goal into the target and the remaining time that the policy was trained on.
 
-    The remaining time stays within [hold time, episode]. The hold time is the reward window, half an episode at most:
-    from there on training paid for standing at the target, and the episode's end, after which nothing counts and a
-    robot may let itself fall, is as far away as it can be.
+    The remaining time stays within [`LEAST_S`, episode] until it is over. From then on it is the hold time: the reward
+    window, half an episode at most. From there on training paid for standing at the target, and the episode's end,
+    after which nothing counts and a robot may let itself fall, is as far away as it can be.
     """
 
     def __init__(self, task: TaskSpec):
@@ -163,8 +167,10 @@ class Navigator:
         self.release()
 
     def release(self) -> None:
-        """Forget where the robot was stopped."""
+        """Forget where the robot was stopped, and what the stick asked for."""
         self._anchor: np.ndarray | None = None
+        self._asked: np.ndarray | None = None
+        self._asked_at_s = 0.0
 
     def order(self, goal: Goal | None, pos: np.ndarray, yaw: float, ground: float, now_s: float) -> Order:
         """What to tell the policy now.
@@ -185,7 +191,7 @@ class Navigator:
             _check_finite("target", goal.position_w, 3, goal.arrive_at_s)
             return self._reach_for(np.array(goal.position_w), goal.arrive_at_s, pos, now_s, "target")
         if isinstance(goal, Joystick):
-            return self._steer(goal, pos, yaw, ground)
+            return self._steer(goal, pos, yaw, ground, now_s)
         if isinstance(goal, WayPoints):
             return self._follow(goal, pos, now_s)
         raise BadInput("there is no goal")
@@ -200,9 +206,9 @@ class Navigator:
             share = self._reach / distance
             target, left = pos + way * share, left * share
             reason = f"{reason}{', ' if reason else ''}{distance:.3g} m away, led there {self._reach:g} m at a time"
-        return Order(target, self._possible(left), mode, reason)
+        return Order(target, self._told(left), mode, reason)
 
-    def _steer(self, stick: Joystick, pos: np.ndarray, yaw: float, ground: float) -> Order:
+    def _steer(self, stick: Joystick, pos: np.ndarray, yaw: float, ground: float, now_s: float) -> Order:
         """Pseudo-velocity control (paper, sections Energy Consumption and Hardware Deployment)."""
         heading = yaw if stick.heading_rad is None else stick.heading_rad
         if not all(map(math.isfinite, (stick.forward, stick.left, heading))):
@@ -212,12 +218,38 @@ class Navigator:
         if not magnitude:
             if self._anchor is None:
                 self._anchor = np.array([pos[0], pos[1], height])
+            self._smooth(np.zeros(2), now_s)
             return Order(self._anchor, self._hold_s, "stop", "")
-        self.release()
+        self._anchor = None
         angle = heading + math.atan2(stick.left, stick.forward)
         distance, left = stick_pace(self._task, magnitude)
-        target = np.array([pos[0] + distance * math.cos(angle), pos[1] + distance * math.sin(angle), height])
-        return Order(target, left, "joystick", "")
+        velocity = self._smooth(distance / left * np.array([math.cos(angle), math.sin(angle)]), now_s)
+        way, left = self._pull(velocity, left)
+        return Order(np.array([pos[0] + way[0], pos[1] + way[1], height]), left, "joystick", "")
+
+    def _smooth(self, wanted: np.ndarray, now_s: float) -> np.ndarray:
+        """(2,) pseudo velocity asked for now, on its way to the wanted one [m/s]."""
+        if self._asked is not None:
+            change = wanted - self._asked
+            size = float(np.linalg.norm(change))
+            most = STICK_ACCELERATION * max(now_s - self._asked_at_s, 0.0)
+            if size > most:
+                wanted = self._asked + change * (most / size)
+        self._asked, self._asked_at_s = wanted, now_s
+        return wanted
+
+    def _pull(self, velocity: np.ndarray, left: float) -> tuple[np.ndarray, float]:
+        """(2,) way to the pseudo target [m] and its time [s]: 3 m away, or nearer where the longest time is too short.
+
+        Args:
+            velocity: (2,) pseudo velocity [m/s].
+            left: time that a continuous policy is told whatever the speed [s].
+        """
+        if self._task.name == "continuous":
+            return velocity * left, left
+        speed = float(np.linalg.norm(velocity))
+        left = JOYSTICK_DISTANCE / max(speed, walking_speeds(self._task)[0])
+        return velocity * left, left
 
     def _follow(self, path: WayPoints, pos: np.ndarray, now_s: float) -> Order:
         """Points before the last only give the direction of a pseudo target, so that nothing asks for a stop there."""
@@ -251,8 +283,8 @@ class Navigator:
         slowest, fastest = walking_speeds(self._task)
         return min(max(speed, slowest), fastest)
 
-    def _possible(self, time_left_s: float) -> float:
-        return min(max(time_left_s, self._hold_s), self._task.episode_s)
+    def _told(self, time_left_s: float) -> float:
+        return min(max(time_left_s, LEAST_S), self._task.episode_s) if time_left_s > 0.0 else self._hold_s
 
 
 def _check_finite(what: str, point: tuple[float, ...], size: int, *others: float) -> None:

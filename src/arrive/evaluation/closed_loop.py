@@ -26,8 +26,8 @@ class ControlledRobots:
     A controller receives what the network would, noise included, but as measurements: from each slice of the noisy
     observation follows a sensor reading. Noise of the direction of gravity tilts the measured orientation; the target
     is turned along, so that its direction from the base is as free of noise as in training. What differs is the
-    controller's own: it keeps the remaining time at the reward window when less is left, leads robots to far targets
-    in parts, and limits joint targets.
+    controller's own: it tells half a second when less is left, leads robots to far targets in parts, and limits joint
+    targets.
     """
 
     def __init__(self, env: ArriveEnv, file: PolicyFile):
