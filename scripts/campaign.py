@@ -193,12 +193,14 @@ def run(arguments: Arguments, arrive: Arrive, clock: Callable[[], float] = time.
 def command_line(*arguments: object) -> None:
     """Run `arrive` with these arguments in a process of its own.
 
+    It runs at the root of the checkout and is given paths from there, so that its record of the command holds anywhere.
+
     Raises:
         ArriveError: it failed; what it said is above.
     """
-    process = subprocess.run([sys.executable, "-m", "arrive.cli", *map(str, arguments)])
-    if process.returncode:
-        raise ArriveError(f"arrive {' '.join(map(str, arguments))} failed")
+    words = [str(a.relative_to(ROOT) if isinstance(a, Path) and a.is_relative_to(ROOT) else a) for a in arguments]
+    if subprocess.run([sys.executable, "-m", "arrive.cli", *words], cwd=ROOT).returncode:
+        raise ArriveError(f"arrive {' '.join(words)} failed")
 
 
 if __name__ == "__main__":

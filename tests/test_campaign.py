@@ -3,6 +3,7 @@
 import importlib.util
 import json
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -100,6 +101,17 @@ def test_a_run_may_start_from_a_folder_outside_the_queue(tmp_path):
     campaign.run(arguments(tmp_path, 5.0, queue), arrive, arrive.clock)
     (call,) = arrive.calls
     assert call[call.index("--start-from") + 1] == str(ROOT / "results" / "all-1")
+
+
+def test_the_record_of_a_command_names_no_place_of_this_machine(monkeypatch, tmp_path):
+    calls = []
+    monkeypatch.setattr(
+        campaign.subprocess, "run", lambda words, cwd: calls.append((words, cwd)) or CompletedProcess(words, 1)
+    )
+    with pytest.raises(ArriveError, match=r"arrive eval policies/gap --episodes 5 .* failed"):
+        campaign.command_line("eval", ROOT / "policies" / "gap", "--episodes", 5, "--json", tmp_path)
+    ((words, cwd),) = calls
+    assert (words[3:], cwd) == (["eval", "policies/gap", "--episodes", "5", "--json", str(tmp_path)], ROOT)
 
 
 @pytest.mark.parametrize(
