@@ -204,9 +204,9 @@ def test_reset_puts_the_robot_back(playground):
 
 
 def test_readings_are_those_of_the_robot(playground):
-    run(playground, 1.0)
+    run(playground, 2.5)
     reading = playground.read()
-    assert reading.contact.all()
+    assert reading.contact.sum() >= 3, "it stands, and may be shifting a foot"
     weight = mujoco.mj_getTotalmass(playground.robot.model) * 9.81
     assert 0.05 * weight < np.abs(reading.torque).sum() < weight, "12 drives hold 52 kg on legs half a metre long"
     playground.send(3.0, 0.0, 5.0)
