@@ -40,11 +40,7 @@ def main(arguments: Arguments) -> None:
         config = replace(policy.config, physics=replace(policy.config.physics, engine=engine))
         results = evaluate(replace(policy, config=config), cells, arguments.episodes, seed=1, threads=threads).results
         for result in results:
-            low, high = result.interval
-            print(
-                f"{result.cell.caption}, {engine}: {result.success:.1%} of {result.episodes} ({low:.1%} to {high:.1%})",
-                flush=True,
-            )
+            print(f"{result.cell.caption}, {engine}: {result.rate}", flush=True)
 
 
 if __name__ == "__main__":

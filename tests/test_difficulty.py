@@ -259,6 +259,10 @@ class TestMaximum:
         assert difficulty.max_at(results(*arrived), 0.95) == pytest.approx(at_95)
         assert difficulty.max_at(results(*arrived), 0.80) == pytest.approx(at_80)
 
+    def test_a_rate_is_said_with_its_interval(self):
+        (result,) = results(979, episodes=1000)
+        assert result.rate == "97.9% of 1000 (96.8% to 98.6%)"
+
     def test_475_of_500_is_95_percent(self):
         assert difficulty.max_at(results(475, 474, episodes=500), 0.95) == pytest.approx(0.1)
 

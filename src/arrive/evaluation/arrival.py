@@ -63,6 +63,12 @@ class CellResult:
         """95 % Wilson interval of the success."""
         return wilson_interval(self.arrived, self.episodes)
 
+    @property
+    def rate(self) -> str:
+        """The success with its interval, for people."""
+        low, high = self.interval
+        return f"{self.success:.1%} of {self.episodes} ({low:.1%} to {high:.1%})"
+
     def content(self) -> dict[str, Any]:
         """The result as JSON data."""
         return {
