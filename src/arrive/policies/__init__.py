@@ -37,7 +37,7 @@ def trained_names() -> list[str]:
 
 def find_run(path: Path) -> Path:
     """The path itself, or the folder in `TRAINED` of that name where nothing lies at the path."""
-    return path if path.exists() or path.name not in trained_names() or path.name != str(path) else TRAINED / path
+    return TRAINED / path if not path.exists() and str(path) in trained_names() else path
 
 
 def open_policy(name: str | None = None) -> PolicyFile:
