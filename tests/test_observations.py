@@ -129,6 +129,12 @@ def test_terms_of_robots_in_random_states():
     np.testing.assert_allclose(terms["action"], action, atol=1e-6)
 
 
+def test_a_longer_errand_than_any_in_training_is_told_as_the_longest():
+    env = an_env(3)
+    env.task.command.time_left_s[:] = torch.tensor([8.0, 6.02, 5.98])
+    np.testing.assert_allclose(sensed(env)["time_left"][:, 0], [6.0, 6.0, 5.98], atol=1e-6)
+
+
 def test_the_height_grid_lies_before_a_robot_as_its_labels_say():
     """A step that only the left half of the grid is over shows in the labels with y > 0."""
     env = an_env(1, ("pit",))

@@ -46,8 +46,9 @@ class ObservationConfig:
 class RandomisationConfig:
     """What differs between robots and what disturbs them."""
 
-    friction: tuple[float, float] = (0.5, 1.25)
-    """Sliding friction, uniform."""
+    friction: tuple[float, float] = (0.75, 1.125)
+    """Sliding friction of a contact, uniform. legged_gym deals 0.5 to 1.25 to robots, and PhysX takes the mean of that
+    and the terrain's 1.0."""
     payload_kg: tuple[float, float] = (-5.0, 5.0)
     """Mass added to the base, uniform [kg]."""
     push_speed: float = 1.0

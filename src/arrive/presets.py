@@ -34,9 +34,10 @@ def robust() -> Config:
     return Config(
         preset="robust",
         num_envs=1024,
-        observation=ObservationConfig(height_scale=1.0),
+        observation=ObservationConfig(height_scale=2.0, grid_length=2.0, grid_width=1.25, grid_step=0.125),
         task=TaskConfig(
-            episode_min_s=4.0,
+            episode_s=8.0,
+            episode_min_s=5.0,
             reward_window_s=2.0,
             exploration_kept=0.3,
             demotion="far",

@@ -23,7 +23,7 @@ DROP = 0.02
 FOOTPRINT = 0.6
 """Half the edge of the square around a starting robot whose highest point it is put above [m]."""
 MAP_HALF = 1.5
-"""Half the edge of the height map around the robot [m]; the grid's corners are 0.95 m away."""
+"""Half the edge of the height map around the robot [m]; the corners of the largest preset's grid are 1.18 m away."""
 FAR = 200.0
 """Half the edge of ground that is continued beyond its tile [m]."""
 

@@ -191,8 +191,8 @@ def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | Non
             "by velocity: walked farther along x than asked, even if it crashed afterwards"
         ),
         "note": (
-            f"robots sent to a place see {TRIAL.duration_s:g} s left at the start; "
-            f"this policy was trained with at most {policy.config.task.episode_s:g} s"
+            f"robots sent to a place have {TRIAL.duration_s:g} s; this policy was trained with at most "
+            f"{policy.config.task.episode_s:g} s and is told no more than that"
         ),
     }
 

@@ -54,12 +54,15 @@ def joint_mirror(robot: Robot) -> tuple[tuple[int, float], ...]:
 
 
 def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float) -> tuple[ObservationTerm, ...]:
-    """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise."""
+    """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise.
+
+    More remaining time than an episode of training has is told as that much: the policy has never seen more.
+    """
     target_and_time = (
         ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR,
                         lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
         ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),),
-                        lambda s, c: c.time_left_s.unsqueeze(-1)),
+                        lambda s, c: c.time_left_s.clamp(max=episode_s).unsqueeze(-1)),
     )  # fmt: skip
     return around_command(robot, config, target_and_time)
 
