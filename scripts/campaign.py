@@ -1,9 +1,10 @@
 """Trains a queue of policies in the hours there are, goes on where it stopped, and measures what is done.
 
-    python scripts/campaign.py --minutes 150 --threads 1
+    python scripts/campaign.py --minutes 150 --processes 2 --threads 1
 
 Each run of the queue is a run folder under `policies/`. The first unfinished one whose start is finished is trained for
-a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration in progress. What has
+a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration in progress. Several
+processes of one thread each share a run's robots and make more samples than one process of several threads. What has
 all its samples is measured by the paper's protocol and exported. `results/table1.md` then has the paper's Table I
 beside every policy that was measured.
 """
@@ -15,10 +16,12 @@ import time
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import tyro
 
+from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.evaluation.records import DIFFICULTY_NAME, Run, read_run
 from arrive.evaluation.table import LIMITS, make_table
@@ -44,15 +47,20 @@ class Entry:
     million_samples: float
     start_from: str | None = None
     """Run whose networks it starts with: one of the queue, once that has all its samples, or a folder like
-    `results/all-1`."""
+    `policies/walk`."""
     seed: int = 1
     set: tuple[str, ...] = ()
     """Changes to the configuration as PATH=VALUE."""
 
     @property
+    def config(self) -> Config:
+        """The run's configuration; its robots are those of all processes together."""
+        return make_config(parse_families(self.terrain), seed=self.seed, overrides=tuple(self.set))
+
+    @property
     def iterations(self) -> int:
         """Training iterations that make the samples."""
-        config = make_config(parse_families(self.terrain), overrides=tuple(self.set))
+        config = self.config
         return math.ceil(1e6 * self.million_samples / (config.num_envs * config.ppo.num_steps))
 
 
@@ -64,7 +72,10 @@ class Arguments:
     """In all, measuring not included [min]."""
     slice: float = 30.0
     """Training of one run at a time [min]."""
+    processes: int = 1
+    """That train one run together, each with its share of the robots; a run goes on with as many as it began with."""
     threads: int = 1
+    """Of each process."""
     episodes: int = 500
     """Per level, in the measurement of a finished run."""
     queue: Path = ROOT / "scripts" / "campaign.toml"
@@ -125,17 +136,34 @@ class Campaign:
                 return entry
         return None
 
-    def train(self, entry: Entry, minutes: float) -> None:
-        """Train a run for some minutes more."""
+    def train(self, entry: Entry, minutes: float) -> bool:
+        """Train a run for some minutes more.
+
+        Returns:
+            False where it ended before: somebody interrupted it.
+        """
         folder, goal = self.folder(entry.name), self._goals[entry.name]
         iterations, before = trained(folder)
         common = ("--iterations", goal, "--threads", self._arguments.threads, "--minutes", before + minutes)
         if iterations:
             self._arrive("train", entry.terrain, "--resume", folder, *common)
-            return
-        start = ("--start-from", self._start(entry.start_from)) if entry.start_from else ()
-        changes = ("--set", *entry.set) if entry.set else ()
-        self._arrive("train", entry.terrain, "--out", folder, "--seed", entry.seed, *start, *common, *changes)
+        else:
+            start = ("--start-from", self._start(entry.start_from)) if entry.start_from else ()
+            changes = ("--set", *entry.set, f"num_envs={self._robots(entry)}")
+            self._arrive("train", entry.terrain, "--out", folder, "--seed", entry.seed, *start, *common, *changes)
+        iterations, spent = trained(folder)
+        return iterations >= goal or spent >= before + minutes - 1e-6
+
+    def _robots(self, entry: Entry) -> int:
+        """A process's share of a run's robots.
+
+        Raises:
+            ArriveError: they cannot be shared evenly.
+        """
+        robots, processes = entry.config.num_envs, self._arguments.processes
+        if robots % processes:
+            raise ArriveError(f"{entry.name} has {robots} robots, which {processes} processes cannot share evenly")
+        return robots // processes
 
     def measure(self) -> None:
         """Measure and export the finished runs that are not yet, and write the table."""
@@ -186,12 +214,13 @@ def run(arguments: Arguments, arrive: Arrive, clock: Callable[[], float] = time.
         if entry is None:
             break
         print(f"{entry.name}: {trained(campaign.folder(entry.name))[0]} of {entry.iterations} iterations", flush=True)
-        campaign.train(entry, min(arguments.slice, left))
+        if not campaign.train(entry, min(arguments.slice, left)):
+            break
     campaign.measure()
 
 
-def command_line(*arguments: object) -> None:
-    """Run `arrive` with these arguments in a process of its own.
+def command_line(processes: int, *arguments: object) -> None:
+    """Run `arrive` with these arguments in a process of its own; training in several.
 
     It runs at the root of the checkout and is given paths from there, so that its record of the command holds anywhere.
 
@@ -199,12 +228,15 @@ def command_line(*arguments: object) -> None:
         ArriveError: it failed; what it said is above.
     """
     words = [str(a.relative_to(ROOT) if isinstance(a, Path) and a.is_relative_to(ROOT) else a) for a in arguments]
-    if subprocess.run([sys.executable, "-m", "arrive.cli", *words], cwd=ROOT).returncode:
+    torchrun = ("torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", "-m")
+    launcher = torchrun if words[0] == "train" and processes > 1 else ()
+    if subprocess.run([sys.executable, "-m", *launcher, "arrive.cli", *words], cwd=ROOT).returncode:
         raise ArriveError(f"arrive {' '.join(words)} failed")
 
 
 if __name__ == "__main__":
     try:
-        run(tyro.cli(Arguments, description=__doc__), command_line)
+        chosen = tyro.cli(Arguments, description=__doc__)
+        run(chosen, partial(command_line, chosen.processes))
     except ArriveError as problem:
         sys.exit(f"campaign: {problem}")

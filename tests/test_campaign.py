@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from subprocess import CompletedProcess
 
@@ -80,7 +82,7 @@ def test_runs_are_trained_in_order_in_slices_and_measured_once_all_samples_are_i
     assert campaign.trained(tmp_path / "policies" / "all")[0] == 82
     first_gap = trained[3]
     assert first_gap[first_gap.index("--start-from") + 1] == str(tmp_path / "policies" / "all")
-    assert first_gap[-2:] == ("--set", "ppo.gamma=0.99")
+    assert first_gap[-3:] == ("--set", "ppo.gamma=0.99", "num_envs=1024")
     assert [call[0] for call in arrive.calls[-4:]] == ["eval", "export", "eval", "export"]
 
 
@@ -95,12 +97,50 @@ def test_a_campaign_that_ran_out_of_time_goes_on_where_it_stood(tmp_path):
     assert "--resume" in arrive.calls[-1]
 
 
+def test_a_training_that_was_interrupted_ends_the_campaign(tmp_path):
+    arrive = FakeArrive()
+
+    def interrupted(command, *rest) -> None:
+        given = list(rest)
+        at = given.index("--minutes") + 1
+        given[at] = float(given[at]) - 1.0
+        arrive(command, *given)
+
+    campaign.run(arguments(tmp_path, 1000.0), interrupted, arrive.clock)
+    assert len(arrive.calls) == 1
+    assert campaign.trained(tmp_path / "policies" / "all") == (36, 9.0)
+
+
+def test_processes_share_the_robots_of_a_run(tmp_path, monkeypatch):
+    arrive = FakeArrive()
+    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nset = ["num_envs=512", "ppo.num_steps=4"]\n'
+    asked = replace(arguments(tmp_path, 5.0, queue), processes=2)
+    campaign.run(asked, arrive, arrive.clock)
+    (call,) = arrive.calls
+    assert call[call.index("--set") + 1 :] == ("num_envs=512", "ppo.num_steps=4", "num_envs=256")
+    # 256 robots x 4 steps of each of two processes.
+    assert call[call.index("--iterations") + 1] == str(math.ceil(1e6 / 2048))
+    launched = []
+    monkeypatch.setattr(
+        campaign.subprocess, "run", lambda words, cwd: launched.append(words) or CompletedProcess(words, 0)
+    )
+    campaign.command_line(2, *call)
+    assert "--nproc-per-node=2" in launched[0]
+    assert launched[0][launched[0].index("arrive.cli") :] == ["arrive.cli", *call]
+
+
+def test_robots_that_processes_cannot_share_evenly_are_refused(tmp_path):
+    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nset = ["num_envs=15"]\n'
+    with pytest.raises(ArriveError, match="15 robots, which 2 processes"):
+        campaign.run(replace(arguments(tmp_path, 5.0, queue), processes=2), FakeArrive())
+
+
 def test_a_run_may_start_from_a_folder_outside_the_queue(tmp_path):
     arrive = FakeArrive()
-    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nstart_from = "results/all-1"\n'
+    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nstart_from = "policies/walk"\n'
     campaign.run(arguments(tmp_path, 5.0, queue), arrive, arrive.clock)
     (call,) = arrive.calls
-    assert call[call.index("--start-from") + 1] == str(ROOT / "results" / "all-1")
+    assert call[call.index("--start-from") + 1] == str(ROOT / "policies" / "walk")
 
 
 def test_the_record_of_a_command_names_no_place_of_this_machine(monkeypatch, tmp_path):
@@ -109,7 +149,7 @@ def test_the_record_of_a_command_names_no_place_of_this_machine(monkeypatch, tmp
         campaign.subprocess, "run", lambda words, cwd: calls.append((words, cwd)) or CompletedProcess(words, 1)
     )
     with pytest.raises(ArriveError, match=r"arrive eval policies/gap --episodes 5 .* failed"):
-        campaign.command_line("eval", ROOT / "policies" / "gap", "--episodes", 5, "--json", tmp_path)
+        campaign.command_line(2, "eval", ROOT / "policies" / "gap", "--episodes", 5, "--json", tmp_path)
     ((words, cwd),) = calls
     assert (words[3:], cwd) == (["eval", "policies/gap", "--episodes", "5", "--json", str(tmp_path)], ROOT)
 
@@ -131,10 +171,10 @@ def test_a_bad_queue_is_refused_before_anything_is_trained(tmp_path, queue, mess
 
 
 def test_the_queue_that_is_committed_can_be_read():
-    entries = campaign.read_queue(ROOT / "scripts" / "campaign.toml")
-    assert entries[0].name == "generalist"
-    assert entries[0].iterations * 1024 * 24 >= 100e6
-    assert {entry.terrain for entry in entries[1:]} == {"stairs", "gap", "pit", "obstacles", "steps", "slope"}
+    walk, generalist, *specialists = campaign.read_queue(ROOT / "scripts" / "campaign.toml")
+    assert (walk.name, generalist.name, generalist.terrain) == ("walk", "generalist", "all")
+    assert generalist.iterations * 2048 * 24 >= 100e6
+    assert {entry.terrain for entry in specialists} == {"stairs", "gap", "pit", "obstacles", "steps", "slope"}
 
 
 def test_the_table_has_the_paper_beside_a_measured_run(tmp_path):
