@@ -13,6 +13,7 @@ from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskCo
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.card import write_card
+from arrive.evaluation.legs import LegCrossing
 from arrive.evaluation.motion import UNITS, MotionMeter, summary
 from arrive.evaluation.playing import play
 from arrive.evaluation.records import read_run
@@ -94,6 +95,23 @@ def test_limits_are_counted_by_joint():
     means = {name: float(values) for name, values in meter.means().items()}
     assert means["at_joint_limit"] == pytest.approx(1 / 12)
     assert means["at_torque_limit"] == pytest.approx(2 / 12)
+
+
+def test_legs_that_cross_are_seen():
+    env = an_env(3)
+    joint_pos = torch.tensor(env.robot.default_joint_pos).repeat(3, 1)
+    names = list(env.robot.joint_names)
+    # Feet stand 0.6 m apart; hips turned inwards bring the second robot's front feet past each other. The third one's
+    # left legs walk through each other: front foot far back, hind foot far forward.
+    joint_pos[1, [names.index("LF_HAA"), names.index("RF_HAA")]] = torch.tensor([-0.7, 0.7])
+    joint_pos[2, [names.index("LF_HFE"), names.index("LH_HFE")]] += torch.tensor([1.2, -1.2])
+    assert LegCrossing(env.robot).found(joint_pos.numpy()).tolist() == [False, True, True]
+    meter = MotionMeter(env)
+    for step in range(1, 11):
+        meter.take(replace(env.state, joint_pos=joint_pos), torch.tensor([True, True, False]), step)
+    crossed = meter.means()["legs_crossed"]
+    assert crossed[:2].tolist() == [0.0, 1.0]
+    assert bool(crossed[2].isnan())
 
 
 def test_a_measured_run_gets_a_card(tmp_path):

@@ -83,7 +83,8 @@ def _motion(run: Run) -> str:
         for level in levels:
             motion = level.get("motion")
             if motion:
-                figures = ("-" if motion[figure] is None else f"{motion[figure]:.3g}" for figure in UNITS)
+                # A measurement by an earlier version lacks the newer figures.
+                figures = ("-" if motion.get(figure) is None else f"{motion[figure]:.3g}" for figure in UNITS)
                 rows.append([f"{name} {level['value']:g}", str(level["episodes"]), *figures])
     return _table(["terrain", "episodes", *(f"`{figure}`" for figure in UNITS)], rows)
 

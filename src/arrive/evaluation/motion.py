@@ -1,4 +1,4 @@
-"""How a policy moves: torque, action rate, limits, and whether it stands at the end."""
+"""How a policy moves: torque, action rate, limits, legs that cross, and whether it stands at the end."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from arrive.env import ArriveEnv
+from arrive.evaluation.legs import LegCrossing
 from arrive.task.state import State
 
 AT_LIMIT = 0.99
@@ -15,6 +16,8 @@ NEAR_LIMIT_RAD = 0.05
 """A joint nearer than this to an end of its range counts as being at it [rad]."""
 REST_S = 1.0
 """The last second of an episode that lasts to its end is looked at as rest [s]."""
+LOOK_S = 0.1
+"""Whether legs cross is looked at this often [s]."""
 ALL_THE_TIME = ("torque_nm", "action_rate_rad_s", "at_torque_limit", "at_joint_limit")
 AT_REST = ("rest_joint_speed_rad_s", "rest_height")
 UNITS = {
@@ -22,6 +25,7 @@ UNITS = {
     "action_rate_rad_s": "mean rate of a joint's target [rad/s]",
     "at_torque_limit": "share of joints at their effort limit",
     "at_joint_limit": "share of joints at an end of their range",
+    "legs_crossed": "share of the time in which a leg passes through another one, which a real one cannot",
     "rest_joint_speed_rad_s": "mean joint speed in the last second [rad/s]",
     "rest_height": "base height in the last second, over that of standing",
 }
@@ -41,8 +45,10 @@ class MotionMeter:
         self._rate = robot.action_scale / env.control_dt
         self._standing_height = robot.standing_height
         self._rest_from = env.max_episode_length - round(REST_S / env.control_dt)
+        self._look_every = max(round(LOOK_S / env.control_dt), 1)
+        self._legs = LegCrossing(robot)
         self._sums = {name: torch.zeros(env.num_envs) for name in UNITS}
-        self._steps, self._rests = torch.zeros(env.num_envs), torch.zeros(env.num_envs)
+        self._seen = {name: torch.zeros(env.num_envs) for name in UNITS}
 
     def take(self, state: State, waiting: Tensor, step: int) -> None:
         """Take in one policy step.
@@ -51,15 +57,21 @@ class MotionMeter:
             waiting: (num_envs,) bool, robots whose first episode goes on.
             step: policy steps since its start.
         """
-        resting = step > self._rest_from
-        self._steps += waiting
-        self._rests += waiting * resting
+        resting, looking = step > self._rest_from, step % self._look_every == 0
         for name in ALL_THE_TIME + AT_REST * resting:
-            self._sums[name] += torch.where(waiting, getattr(self, f"_{name}")(state).cpu(), 0.0)
+            self._add(name, waiting, torch.where(waiting, getattr(self, f"_{name}")(state).cpu(), 0.0))
+        if looking:
+            crossed = torch.zeros(len(waiting))
+            crossed[waiting] = torch.from_numpy(self._legs.found(state.joint_pos.cpu()[waiting].numpy())).float()
+            self._add("legs_crossed", waiting, crossed)
+
+    def _add(self, name: str, waiting: Tensor, values: Tensor) -> None:
+        self._sums[name] += values
+        self._seen[name] += waiting
 
     def means(self) -> dict[str, Tensor]:
         """(num_envs,) each figure's mean; NaN where there was nothing to see."""
-        return {name: total / (self._rests if name in AT_REST else self._steps) for name, total in self._sums.items()}
+        return {name: total / self._seen[name] for name, total in self._sums.items()}
 
     def _torque_nm(self, state: State) -> Tensor:
         return state.joint_torque.abs().mean(-1)
