@@ -5,10 +5,11 @@
 Each run of the queue is a run folder under `policies/`. The first unfinished one whose start is finished is trained for
 a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration in progress. Several
 processes of one thread each share a run's robots and make more samples than one process of several threads. What has
-all its samples is measured by the paper's protocol and exported. `results/table1.md` then has the paper's Table I
-beside every policy that was measured.
+all its samples, or is named by `--also`, is measured by the paper's protocol and exported. `results/table1.md` then has
+the paper's Table I beside every policy that was measured.
 """
 
+import json
 import math
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from pathlib import Path
 import tyro
 
 from arrive.config import Config
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, unknown_name
 from arrive.evaluation.records import DIFFICULTY_NAME, Run, read_run
 from arrive.evaluation.table import LIMITS, make_table
 from arrive.learning.checkpoint import CHECKPOINT_NAME
@@ -77,7 +78,9 @@ class Arguments:
     threads: int = 1
     """Of each process."""
     episodes: int = 500
-    """Per level, in the measurement of a finished run."""
+    """Per level, in a measurement."""
+    also: tuple[str, ...] = ()
+    """Unfinished runs to be measured at the end too, as they are by then."""
     queue: Path = ROOT / "scripts" / "campaign.toml"
     policies: Path = ROOT / "policies"
     table: Path = ROOT / "results" / "table1.md"
@@ -109,6 +112,14 @@ def trained(folder: Path) -> tuple[int, float]:
     return int(log["iteration"][-1]), log["progress/elapsed_s"][-1] / 60.0
 
 
+def measured(folder: Path) -> bool:
+    """Whether a run was measured with all the samples that it has now."""
+    path = folder / DIFFICULTY_NAME
+    if not path.exists():
+        return False
+    return json.loads(path.read_text())["policy"]["samples"] == read_log(folder)["progress/samples"][-1]
+
+
 class Campaign:
     """The queue and what has become of it."""
 
@@ -116,6 +127,9 @@ class Campaign:
         self._arguments, self._arrive = arguments, arrive
         self._entries = read_queue(arguments.queue)
         self._goals = {entry.name: entry.iterations for entry in self._entries}
+        for name in arguments.also:
+            if name not in self._goals:
+                raise unknown_name("run in the queue", name, self._goals)
 
     def folder(self, name: str) -> Path:
         """A run's folder."""
@@ -166,10 +180,11 @@ class Campaign:
         return robots // processes
 
     def measure(self) -> None:
-        """Measure and export the finished runs that are not yet, and write the table."""
+        """Measure and export the runs whose turn it is and that were not yet as they are, and write the table."""
         for entry in self._entries:
             folder = self.folder(entry.name)
-            if self.finished(entry.name) and not (folder / DIFFICULTY_NAME).exists():
+            wanted = self.finished(entry.name) or (entry.name in self._arguments.also and trained(folder)[0] > 0)
+            if wanted and not measured(folder):
                 options = ("--episodes", self._arguments.episodes, "--threads", self._arguments.threads)
                 self._arrive("eval", folder, "--protocol", "difficulty", *options)
                 self._arrive("export", folder, "--out", folder / "policy.onnx")

@@ -54,7 +54,8 @@ class FakeArrive:
         self.minutes += (total - iterations) / ITERATIONS_PER_MINUTE
         folder.mkdir(parents=True, exist_ok=True)
         (folder / CHECKPOINT_NAME).touch()
-        (folder / LOG_NAME).write_text(f"iteration,progress/elapsed_s\n{total},{60.0 * minutes}\n")
+        columns = "iteration,progress/samples,progress/elapsed_s"
+        (folder / LOG_NAME).write_text(f"{columns}\n{total},{12_288.0 * total},{60.0 * minutes}\n")
 
     def clock(self) -> float:
         return 60.0 * self.minutes
@@ -109,6 +110,26 @@ def test_a_training_that_was_interrupted_ends_the_campaign(tmp_path):
     campaign.run(arguments(tmp_path, 1000.0), interrupted, arrive.clock)
     assert len(arrive.calls) == 1
     assert campaign.trained(tmp_path / "policies" / "all") == (36, 9.0)
+
+
+def test_an_unfinished_run_is_measured_where_it_is_named(tmp_path):
+    arrive = FakeArrive()
+    campaign.run(replace(arguments(tmp_path, 5.0), also=("all", "gap")), arrive, arrive.clock)
+    # The gap waits for the run that it starts from, so there is nothing of it to measure.
+    assert [call[:2] for call in arrive.calls[1:]] == [
+        (command, str(tmp_path / "policies" / "all")) for command in ("eval", "export")
+    ]
+    with pytest.raises(ArriveError, match=r"'al'.* Did you mean 'all'"):
+        campaign.run(replace(arguments(tmp_path, 5.0), also=("al",)), FakeArrive())
+
+
+def test_a_measurement_holds_for_the_samples_that_it_was_made_with(tmp_path):
+    assert not campaign.measured(tmp_path)
+    (tmp_path / LOG_NAME).write_text("iteration,progress/samples\n1,100.0\n2,200.0\n")
+    (tmp_path / "difficulty.json").write_text('{"policy": {"samples": 100}}')
+    assert not campaign.measured(tmp_path)
+    (tmp_path / "difficulty.json").write_text('{"policy": {"samples": 200}}')
+    assert campaign.measured(tmp_path)
 
 
 def test_processes_share_the_robots_of_a_run(tmp_path, monkeypatch):

@@ -131,5 +131,7 @@ def test_a_measured_run_gets_a_card(tmp_path):
     for part in ("# tiny", run.record["command"], "| gap | - | - | - |", "| 0.1 m | 0.0% |", "| gap 0.1 | 3 | 0.123"):
         assert part in text
     assert "![curves](curves.png)" in text
-    for picture in (folder / "pictures" / "difficulty").glob("*.png"):
+    pictures = folder / "pictures" / "difficulty"
+    assert {path.stem for path in pictures.glob("*.mp4")} == {path.stem for path in pictures.glob("*.png")}
+    for picture in pictures.glob("*.png"):
         assert f"(pictures/difficulty/{picture.name})" in text

@@ -62,7 +62,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
         write_json(command.json, _arrival_content(command, policy, answer))
-    _write_pictures(command.pictures or policy.path.parent / "pictures", answer.episodes, with_film=True)
+    _write_pictures(command.pictures or policy.path.parent / "pictures", answer.episodes, films=1)
 
 
 def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
@@ -87,7 +87,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
         print(why_stuck(results))
     write_json(command.json or folder / DIFFICULTY_NAME, answer.content)
     pictures = command.pictures or folder / DIFFICULTY_PICTURES
-    _write_pictures(pictures, answer.episodes, names=list(answer.results))
+    _write_pictures(pictures, answer.episodes, len(families), names=list(answer.results))
     if command.json is None and (folder / CONFIG_NAME).is_file():
         print(f"card: {write_card(read_run(folder), folder)}")
 
@@ -124,17 +124,15 @@ def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict:
     }
 
 
-def _write_pictures(
-    folder: Path, episodes: list[Episode], names: list[str] | None = None, with_film: bool = False
-) -> None:
-    """A strip per episode and, if asked, a film of the first; or one line where no graphics library is present."""
+def _write_pictures(folder: Path, episodes: list[Episode], films: int, names: list[str] | None = None) -> None:
+    """A strip per episode and films of the first ones; or one line where no graphics library is present."""
     names = names or [episode.caption.replace(" ", "_") for episode in episodes]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, episode in zip(names, episodes, strict=True):
             picture_strip(episode, folder / f"{name}.png")
-        if with_film:
-            film(episodes[0], folder / f"{names[0]}.mp4")
+        for name, episode in zip(names[:films], episodes, strict=False):
+            film(episode, folder / f"{name}.mp4")
     except GraphicsUnavailable as error:
         print(error)
     except OSError as error:
