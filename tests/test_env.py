@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same_bits_at_any_number_of_threads():
     try:
         for threads in (1, 2, 2):
             torch.set_num_threads(threads)
-            runs.append(rollout(build_env(config_of(robust, 20, MIXED), threads=threads), 80))
+            runs.append(rollout(build_env(config_of(robust, 20, MIXED), threads=threads), 120))
     finally:
         torch.set_num_threads(torch_threads)
     assert same(runs[0], runs[1])
