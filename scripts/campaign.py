@@ -17,7 +17,6 @@ import time
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import tyro
@@ -36,7 +35,7 @@ LEAST_MINUTES = 1.0
 """A slice shorter than this is not begun."""
 
 Arrive = Callable[..., None]
-"""Runs the command line with these arguments."""
+"""Runs the command line in so many processes with these arguments."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,8 @@ class Entry:
     seed: int = 1
     set: tuple[str, ...] = ()
     """Changes to the configuration as PATH=VALUE."""
+    processes: int | None = None
+    """Processes that train it together; those of the command line by default."""
 
     @property
     def config(self) -> Config:
@@ -74,7 +75,8 @@ class Arguments:
     slice: float = 30.0
     """Training of one run at a time [min]."""
     processes: int = 1
-    """That train one run together, each with its share of the robots; a run goes on with as many as it began with."""
+    """That train one run together, each with its share of the robots, where the queue does not say; a run goes on with
+    as many as it began with."""
     threads: int = 1
     """Of each process."""
     episodes: int = 500
@@ -159,14 +161,19 @@ class Campaign:
         folder, goal = self.folder(entry.name), self._goals[entry.name]
         iterations, before = trained(folder)
         common = ("--iterations", goal, "--threads", self._arguments.threads, "--minutes", before + minutes)
+        processes = self._processes(entry)
         if iterations:
-            self._arrive("train", entry.terrain, "--resume", folder, *common)
+            self._arrive(processes, "train", entry.terrain, "--resume", folder, *common)
         else:
             start = ("--start-from", self._start(entry.start_from)) if entry.start_from else ()
             changes = ("--set", *entry.set, f"num_envs={self._robots(entry)}")
-            self._arrive("train", entry.terrain, "--out", folder, "--seed", entry.seed, *start, *common, *changes)
+            new = ("--out", folder, "--seed", entry.seed, *start, *common, *changes)
+            self._arrive(processes, "train", entry.terrain, *new)
         iterations, spent = trained(folder)
         return iterations >= goal or spent >= before + minutes - 1e-6
+
+    def _processes(self, entry: Entry) -> int:
+        return entry.processes or self._arguments.processes
 
     def _robots(self, entry: Entry) -> int:
         """A process's share of a run's robots.
@@ -174,7 +181,7 @@ class Campaign:
         Raises:
             ArriveError: they cannot be shared evenly.
         """
-        robots, processes = entry.config.num_envs, self._arguments.processes
+        robots, processes = entry.config.num_envs, self._processes(entry)
         if robots % processes:
             raise ArriveError(f"{entry.name} has {robots} robots, which {processes} processes cannot share evenly")
         return robots // processes
@@ -186,8 +193,8 @@ class Campaign:
             wanted = self.finished(entry.name) or (entry.name in self._arguments.also and trained(folder)[0] > 0)
             if wanted and not measured(folder):
                 options = ("--episodes", self._arguments.episodes, "--threads", self._arguments.threads)
-                self._arrive("eval", folder, "--protocol", "difficulty", *options)
-                self._arrive("export", folder, "--out", folder / "policy.onnx")
+                self._arrive(1, "eval", folder, "--protocol", "difficulty", *options)
+                self._arrive(1, "export", folder, "--out", folder / "policy.onnx")
         folders = [self.folder(entry.name) for entry in self._entries]
         runs = [read_run(folder) for folder in folders if (folder / DIFFICULTY_NAME).exists()]
         if runs:
@@ -235,7 +242,7 @@ def run(arguments: Arguments, arrive: Arrive, clock: Callable[[], float] = time.
 
 
 def command_line(processes: int, *arguments: object) -> None:
-    """Run `arrive` with these arguments in a process of its own; training in several.
+    """Run `arrive` with these arguments in a process of its own, or in several.
 
     It runs at the root of the checkout and is given paths from there, so that its record of the command holds anywhere.
 
@@ -244,14 +251,13 @@ def command_line(processes: int, *arguments: object) -> None:
     """
     words = [str(a.relative_to(ROOT) if isinstance(a, Path) and a.is_relative_to(ROOT) else a) for a in arguments]
     torchrun = ("torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", "-m")
-    launcher = torchrun if words[0] == "train" and processes > 1 else ()
+    launcher = torchrun if processes > 1 else ()
     if subprocess.run([sys.executable, "-m", *launcher, "arrive.cli", *words], cwd=ROOT).returncode:
         raise ArriveError(f"arrive {' '.join(words)} failed")
 
 
 if __name__ == "__main__":
     try:
-        chosen = tyro.cli(Arguments, description=__doc__)
-        run(chosen, partial(command_line, chosen.processes))
+        run(tyro.cli(Arguments, description=__doc__), command_line)
     except ArriveError as problem:
         sys.exit(f"campaign: {problem}")

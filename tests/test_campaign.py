@@ -38,11 +38,12 @@ class FakeArrive:
     """Trains at a fixed pace, on a clock of its own."""
 
     def __init__(self):
-        self.minutes, self.calls = 0.0, []
+        self.minutes, self.calls, self.processes = 0.0, [], []
 
-    def __call__(self, *arguments) -> None:
+    def __call__(self, processes, *arguments) -> None:
         command, *rest = map(str, arguments)
         self.calls.append((command, *rest))
+        self.processes.append(processes)
         if command != "train":
             return
         options = dict(zip(rest[1::2], rest[2::2], strict=False))
@@ -101,11 +102,11 @@ def test_a_campaign_that_ran_out_of_time_goes_on_where_it_stood(tmp_path):
 def test_a_training_that_was_interrupted_ends_the_campaign(tmp_path):
     arrive = FakeArrive()
 
-    def interrupted(command, *rest) -> None:
-        given = list(rest)
+    def interrupted(processes, *arguments) -> None:
+        given = list(arguments)
         at = given.index("--minutes") + 1
         given[at] = float(given[at]) - 1.0
-        arrive(command, *given)
+        arrive(processes, *given)
 
     campaign.run(arguments(tmp_path, 1000.0), interrupted, arrive.clock)
     assert len(arrive.calls) == 1
@@ -150,6 +151,18 @@ def test_processes_share_the_robots_of_a_run(tmp_path, monkeypatch):
     assert launched[0][launched[0].index("arrive.cli") :] == ["arrive.cli", *call]
 
 
+def test_a_run_may_have_processes_of_its_own(tmp_path):
+    arrive = FakeArrive()
+    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nprocesses = 4\n'
+    campaign.run(replace(arguments(tmp_path, 1000.0, queue), processes=2), arrive, arrive.clock)
+    assert arrive.calls[0][-1] == "num_envs=256"
+    assert [(call[0], count) for call, count in zip(arrive.calls, arrive.processes, strict=True)] == [
+        *[("train", 4)] * 3,
+        ("eval", 1),
+        ("export", 1),
+    ]
+
+
 def test_robots_that_processes_cannot_share_evenly_are_refused(tmp_path):
     queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nset = ["num_envs=15"]\n'
     with pytest.raises(ArriveError, match="15 robots, which 2 processes"):
@@ -170,7 +183,7 @@ def test_the_record_of_a_command_names_no_place_of_this_machine(monkeypatch, tmp
         campaign.subprocess, "run", lambda words, cwd: calls.append((words, cwd)) or CompletedProcess(words, 1)
     )
     with pytest.raises(ArriveError, match=r"arrive eval policies/gap --episodes 5 .* failed"):
-        campaign.command_line(2, "eval", ROOT / "policies" / "gap", "--episodes", 5, "--json", tmp_path)
+        campaign.command_line(1, "eval", ROOT / "policies" / "gap", "--episodes", 5, "--json", tmp_path)
     ((words, cwd),) = calls
     assert (words[3:], cwd) == (["eval", "policies/gap", "--episodes", "5", "--json", str(tmp_path)], ROOT)
 
