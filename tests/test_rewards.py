@@ -106,6 +106,7 @@ def test_stalling_is_waiting_slower_than_10_cm_per_s_farther_away_than_half_a_me
         ("tilt_cost", {"gravity_b": (0.0, 0.0, -1.0)}, 0.0),
         ("tilt_cost", {"gravity_b": (0.6, 0.0, -0.8)}, 0.36),
         ("tilt_cost", {"gravity_b": (0.0, 1.0, 0.0)}, 1.0),
+        ("pose_cost", {"joint_offset": (0.5, -1.0, 0.0)}, 1.25),
     ],
 )
 def test_penalties(name, fields_, expected):
@@ -168,7 +169,7 @@ def test_short_step_cost_is_what_the_time_in_the_air_of_landing_feet_lacks_of_ha
 def test_no_term_is_without_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
-    tested |= {"short_step_cost", "pace"}
+    tested |= {"short_step_cost", "pace", "pose_cost"}
     assert set(REWARDS) == tested | {"action_rate_cost", "foot_acc_cost", "approach", "stand", "tilt_cost"}
     assert all(getattr(rewards, name) is function for name, function in REWARDS.items())
 

@@ -158,6 +158,19 @@ class TestRetargeting:
             task.follow(a_state(400, base_pos_w=torch.tensor([[x, 0.0, 0.6]]).expand(400, 3)))
             assert bool(task.command.counts.any()) == counting
 
+    def test_a_share_of_them_is_to_stop_where_the_robot_is(self):
+        task = a_task(tile_of("slope", 0.5), MANY, replace(TASK, retarget_s=0.02, stop_share=0.25))
+        begin(task, MANY)
+        task.command.counts[:] = True
+        task.follow(a_state(MANY, base_pos_w=torch.tensor([[3.0, 0.0, 1.7]]).expand(MANY, 3)))
+        stops = (task.command.target_w[:, :2] == torch.tensor([3.0, 0.0])).all(-1)
+        assert float(stops.float().mean()) == pytest.approx(0.25, abs=0.02)
+        # Half a metre above the slope of 27.5 degrees that begins 1 m out, looked up in cells of 5 cm.
+        expected = 2.0 * math.tan(math.radians(27.5)) + 0.5
+        assert task.command.target_w[stops, 2].tolist() == pytest.approx([expected] * int(stops.sum()), abs=0.03)
+        assert not bool(task.command.counts[stops].any())
+        assert float((task.command.target_w - torch.tensor([3.0, 0.0, 1.7]))[~stops].norm(dim=-1).min()) > 0.9
+
     def test_targets_stay_on_the_tile(self):
         tile = tile_of("flat")
         corner = torch.tensor([[6.0, 6.0, 0.6]]).expand(MANY, 3)

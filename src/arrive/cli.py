@@ -89,7 +89,7 @@ class Drive:
     """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `flat` by default."""
+    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
     terrain: str = "flat"
     """Terrain family."""
     level: int = 0
@@ -109,7 +109,7 @@ class Play:
     """Drive a robot in the browser, run by the same controller as a real one."""
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `flat` by default."""
+    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
     terrain: str = "flat"
     """Terrain family, see `arrive list`."""
     level: int = 0

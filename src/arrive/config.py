@@ -84,6 +84,8 @@ class TaskConfig:
     retarget_s: float = 0.0
     """Mean time after which a robot in training gets another target and the time for it, without an end of the episode;
     0 for never [s]."""
+    stop_share: float = 0.0
+    """Share of those other targets that are where the robot is: it is told to stop."""
     target_height: float = 0.5
     """Height of targets above the ground [m]."""
     rewards: dict[str, float] = field(default_factory=dict)

@@ -241,6 +241,7 @@ class ArriveEnv(VecEnv):
             base_ang_vel_b=readings.base_ang_vel_b,
             gravity_b=rotate_inverse(quat, self._down[: len(quat)]),
             joint_pos=readings.joint_pos,
+            joint_offset=readings.joint_pos - self._default_joint_pos,
             joint_vel=readings.joint_vel,
             joint_acc=(readings.joint_vel - buffers["joint_vel"]) / self.control_dt,
             joint_torque=readings.joint_torque,

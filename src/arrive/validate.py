@@ -35,6 +35,7 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     yield "terrain.start_level", start, f"between 0 and {terrain.levels - 1}", 0 <= start < max(terrain.levels, 1)
     yield "task.episode_min_s", task.episode_min_s, "at most task.episode_s", task.episode_min_s <= task.episode_s
     yield "task.retarget_s", task.retarget_s, "0 or more and finite", 0.0 <= task.retarget_s < math.inf
+    yield "task.stop_share", task.stop_share, "between 0 and 1", 0.0 <= task.stop_share <= 1.0
     yield "seed", config.seed, "0 or more", config.seed >= 0
     for name in ("friction", "payload_kg"):
         low, high = getattr(config.randomisation, name)

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from arrive.deployment.policy_file import PolicyFile
 
 SHIPPED: dict[str, str] = {
-    "flat": "trained on flat ground alone (results/flat-shipped)",
+    "joystick": "follows a stick, and walks on all terrains (policies/joystick)",
 }
 """Name and description of each shipped policy; its file is NAME.onnx."""
-DEFAULT = "flat"
+DEFAULT = "joystick"
 """The one that is run where none is named."""
 EXPORTED = ".onnx"
 TRAINED = Path(__file__).parents[3] / "policies"
@@ -63,7 +63,7 @@ def open_policy(name: str | None = None) -> PolicyFile:
         return _exported(path)
     raise ArriveError(
         f"there is no policy {name!r}. Give a run folder, a policy.pt, an exported {EXPORTED} file, "
-        f"or the name of a policy: {', '.join([*sorted(SHIPPED), *trained_names()])}"
+        f"or the name of a policy: {', '.join(sorted({*SHIPPED, *trained_names()}))}"
     )
 
 

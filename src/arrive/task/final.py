@@ -110,6 +110,18 @@ class FinalPositionTask:
             here, tiles = state.base_pos_w[ids], self._tile_ids[ids]
             self.new_command(Start(ids, here, tiles), first=False)
             self._command.counts[ids] &= ~look_up(self._rasters.crossing, tiles, here[:, None, :2]).squeeze(1)
+            if self._config.stop_share > 0.0:
+                self._stop(ids, here)
+
+    def _stop(self, ids: Tensor, here: Tensor) -> None:
+        """Move the targets of some of these robots to where they are."""
+        draw = torch.rand(len(ids), generator=self._generator, device=ids.device)
+        chosen = draw < self._config.stop_share
+        ids, here = ids[chosen], here[chosen]
+        ground = look_up(self._rasters.heights, self._tile_ids[ids], here[:, None, :2])
+        self._command.target_w[ids] = torch.cat([here[:, :2], ground + self._config.target_height], dim=-1)
+        self._command.start_distance[ids] = (self._command.target_w[ids] - here).norm(dim=-1)
+        self._command.counts[ids] = False
 
     def advance(self, dt: float) -> Tensor:
         self._command.time_left_s -= dt

@@ -76,7 +76,6 @@ def around_command(
     """
     joints = robot.joint_names
     mirror_joints = joint_mirror(robot)
-    default = torch.tensor(robot.default_joint_pos)
     grid = HeightGrid(config)
     cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())
@@ -89,7 +88,7 @@ def around_command(
                         lambda s, c: s.gravity_b),
         *command_terms,
         ObservationTerm("joint_pos", "rad", "relative to the default pose", joints, 1.0, config.noise_joint_pos,
-                        mirror_joints, lambda s, c: s.joint_pos - default.to(s.joint_pos)),
+                        mirror_joints, lambda s, c: s.joint_offset),
         ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, mirror_joints,
                         lambda s, c: s.joint_vel),
         ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, mirror_joints, lambda s, c: s.action),

@@ -146,6 +146,14 @@ def tilt_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     return state.gravity_b[:, :2].square().sum(-1)
 
 
+def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+    """Sum of squared joint positions relative to the default pose, (n,) [rad^2]. Not in the paper.
+
+    Without it nothing asks a robot that has stopped to set its feet under its hips again.
+    """
+    return state.joint_offset.square().sum(-1)
+
+
 RewardFunction = Callable[[State, Any, TaskConfig], Tensor]
 """Of the state, the task's own command, and the configuration."""
 
@@ -156,6 +164,7 @@ MOTION_COSTS: dict[str, RewardFunction] = {
     "action_rate_cost": action_rate_cost,
     "foot_acc_cost": foot_acc_cost,
     "tilt_cost": tilt_cost,
+    "pose_cost": pose_cost,
 }
 """Costs of moving, whatever the command; every task has them."""
 

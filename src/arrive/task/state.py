@@ -26,6 +26,8 @@ class State:
     """(n, 3) unit vector of gravity."""
     joint_pos: Tensor
     """(n, joints) [rad]."""
+    joint_offset: Tensor
+    """(n, joints) joint_pos less the default pose [rad]."""
     joint_vel: Tensor
     """(n, joints) [rad/s]."""
     joint_acc: Tensor
