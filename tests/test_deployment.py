@@ -254,9 +254,9 @@ def test_a_reversed_stick_turns_the_pseudo_velocity_at_2_m_per_s2():
     assert asked(-1.0, 10.5) == pytest.approx((0.5 * 4.5, 4.5))
     assert asked(-1.0, 10.75) == pytest.approx((0.0, 4.5))
     assert asked(-1.0, 11.5) == pytest.approx((-3.0, 2.0))
-    # A stop holds the place at once, and the next stick begins from the speed that was left.
+    # A stop holds a place at once, and the next stick begins from the speed that was left.
     stop = navigator.order(Joystick(0.0, 0.0), np.zeros(3), 0.0, 0.0, 11.75)
-    assert (stop.mode, stop.target_w[0]) == ("stop", 0.0)
+    assert (stop.mode, stop.target_w[0]) == ("stop", pytest.approx(-0.75))
     assert asked(-1.0, 11.76) == pytest.approx((-3.0, 3.0 / 1.02))
     # Another kind of goal forgets.
     navigator.order(Target((1.0, 0.0, 0.5), 14.0), np.zeros(3), 0.0, 0.0, 11.78)
@@ -271,13 +271,18 @@ def test_joystick_scales_the_distance_of_a_continuous_policy():
         assert result.time_left_s == 3.0
 
 
-def test_released_stick_stops_where_it_was_released():
+def test_released_stick_stops_half_a_second_ahead():
     navigator = Navigator(TASK)
-    order(Joystick(1.0, 0.0), navigator=navigator)
+    order(Joystick(0.0, 1.0), navigator=navigator)
     for x in (1.0, 1.4):
-        result = order(Joystick(0.05, 0.0), pos=(x, 0.0, 0.5), navigator=navigator)
-        np.testing.assert_allclose(result.target_w, (1.0, 0.0, 0.5))
+        result = order(Joystick(0.05, 0.0), pos=(x, 0.2, 0.5), navigator=navigator)
+        # Full stick is 1.5 m/s.
+        np.testing.assert_allclose(result.target_w, (1.0, 0.2 + 0.75, 0.5))
         assert (result.mode, result.time_left_s) == ("stop", 2.0)
+
+
+def test_stick_that_was_never_pulled_holds_the_place():
+    np.testing.assert_allclose(order(Joystick(0.0, 0.0), pos=(1.0, 0.2, 0.5)).target_w, (1.0, 0.2, 0.5))
 
 
 def test_way_points_are_passed_without_a_stop():

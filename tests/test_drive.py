@@ -262,7 +262,7 @@ def test_the_arrow_shows_the_direction_as_the_robot_sees_it(policy):
 def test_drive_by_a_file(tmp_path, capsys):
     script, log = tmp_path / "drive.csv", tmp_path / "drive.npz"
     script.write_text(HEADER + "0,1,0,0\n2,0,0,\n3,0,0,\n")
-    cli.main(["drive", "flat", "--script", str(script), "--log", str(log)])
+    cli.main(["drive", "joystick", "--script", str(script), "--log", str(log)])
     assert "3.0 s, 0 falls" in capsys.readouterr().out
     assert len(ControlLog.load(log).frames) == 150
 
@@ -273,7 +273,7 @@ def test_drive_by_a_file(tmp_path, capsys):
         (["--seconds", "0"], "--seconds must be positive"),
         (["moon"], "no policy 'moon'"),
         (["--terrain", "moon"], "unknown terrain"),
-        (["--level", "10", "--terrain", "gap"], "levels are 0 to 9"),
+        (["--level", "20", "--terrain", "gap"], "levels are 0 to 19"),
         (["--script", "absent.csv"], "cannot read absent.csv"),
         ([], "no gamepad"),
     ],

@@ -21,11 +21,11 @@ from arrive.play.history import WINDOW_S, History
 from arrive.play.pace import LARGEST_DELAY_S, Pace
 from arrive.play.playground import LEVELS, TERRAIN_GROUP, Playground
 from arrive.play.stick import parse_stick
-from arrive.policies import SHIPPED, open_policy, shipped_file
+from arrive.policies import DEFAULT, SHIPPED, open_policy, shipped_file
 from arrive.terrain import FAMILIES
 from arrive.terrain.tile import RASTER_HALF, cell_index
 
-RUN = Path(__file__).parents[1] / "results" / "flat-shipped"
+RUN = Path(__file__).parents[1] / "policies" / "joystick"
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -333,35 +333,36 @@ def test_lines_lie_on_the_ground(policy):
 
 
 def test_shipped_policies_have_names_and_files():
-    folder = shipped_file("flat").parent
+    folder = shipped_file(DEFAULT).parent
     assert {path.stem for path in folder.glob("*.onnx")} == set(SHIPPED)
 
 
 def test_the_default_policy_is_what_the_results_hold(tmp_path):
     weights = open_policy().meta["weights"]
-    assert open_policy("flat").meta["weights"] == weights
+    assert open_policy(DEFAULT).meta["weights"] == weights
     assert open_policy(str(RUN)).meta["weights"] == weights
     assert open_policy(f"{RUN}/policy.pt").meta["weights"] == weights
     copy = tmp_path / "copy.onnx"
-    copy.write_bytes(shipped_file("flat").read_bytes())
+    copy.write_bytes(shipped_file(DEFAULT).read_bytes())
     assert open_policy(str(copy)).meta["weights"] == read_policy_file(copy).meta["weights"] == weights
 
 
 def test_an_unknown_policy_names_the_shipped_ones():
-    with pytest.raises(ArriveError, match=r"no policy 'flta'.*name of a policy: flat"):
+    with pytest.raises(ArriveError, match=r"no policy 'flta'.*name of a policy: .*joystick"):
         open_policy("flta")
 
 
 def test_run_folders_of_the_checkout_have_names(capsys, monkeypatch):
-    monkeypatch.setattr(policies, "TRAINED", RUN.parent)
-    assert policies.find_run(Path(RUN.name)) == RUN
-    assert open_policy(RUN.name).meta["weights"] == open_policy(str(RUN)).meta["weights"]
-    assert load_policy(Path(RUN.name)).path == RUN / "policy.pt"
+    other = RUN.parents[1] / "results" / "flat-1"
+    monkeypatch.setattr(policies, "TRAINED", other.parent)
+    assert policies.find_run(Path(other.name)) == other
+    assert open_policy(other.name).meta["weights"] == open_policy(str(other)).meta["weights"]
+    assert load_policy(Path(other.name)).path == other / "policy.pt"
     # A path that exists, or that is more than a name, is taken as it is.
-    assert policies.find_run(RUN) == RUN
-    assert policies.find_run(Path("elsewhere") / RUN.name) == Path("elsewhere") / RUN.name
+    assert policies.find_run(other) == other
+    assert policies.find_run(Path("elsewhere") / other.name) == Path("elsewhere") / other.name
     cli.main(["list", "policies"])
-    assert RUN.name in capsys.readouterr().out
+    assert other.name in capsys.readouterr().out
 
 
 def test_list_names_the_shipped_policies(capsys):
@@ -431,7 +432,7 @@ def test_what_the_command_is_asked_is_checked(capsys):
     pytest.importorskip("viser")
     assert "Valid:" in refused(capsys, "--terrain", "moon")
     assert "levels are" in refused(capsys, "--terrain", "gap", "--level", "10")
-    assert "name of a policy: flat" in refused(capsys, "nothing")
+    assert DEFAULT in refused(capsys, "nothing").partition("name of a policy:")[2]
 
 
 def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):

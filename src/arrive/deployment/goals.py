@@ -19,6 +19,9 @@ LEAST_S = 0.5
 """The remaining time on the way to a target is told down to this; when it is over, the hold time is [s]."""
 STICK_ACCELERATION = 2.0
 """What a stick asks for while it drives changes by no more than this: a reversal at full speed takes 1.5 s [m/s^2]."""
+STOP_S = 0.5
+"""A stick that is let go stops the robot as far ahead as what it asked for goes in this time, so that it need not come
+back [s]."""
 DEAD_ZONE = 0.1
 """A stick nearer to its centre than this asks the robot to stop."""
 
@@ -217,7 +220,8 @@ class Navigator:
         height = ground + self._task.target_height_m
         if not magnitude:
             if self._anchor is None:
-                self._anchor = np.array([pos[0], pos[1], height])
+                ahead = np.zeros(2) if self._asked is None else STOP_S * self._asked
+                self._anchor = np.array([*(pos[:2] + ahead), height])
             self._smooth(np.zeros(2), now_s)
             return Order(self._anchor, self._hold_s, "stop", "")
         self._anchor = None
