@@ -1,17 +1,19 @@
 """The exported controller against the network it was exported from, over the episodes of `arrive eval`.
 
-    python benchmarks/closed_loop.py RUN [--terrain flat,rough] [--level 0] [--episodes 1000] [--seed 1]
+    python benchmarks/closed_loop.py RUN [--terrain flat,rough] [--level 0] [--episodes 1000] [--seed 1] [--pushes 15]
 
 The network acts in the training environment as in `arrive eval`; then a controller per robot does, in float32 by
 onnxruntime, from measurements with the same noise. 1,000 episodes take about two minutes per terrain.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from rich.progress import Progress
 
+from arrive.config import override
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
 from arrive.evaluation.closed_loop import compare, describe
@@ -28,10 +30,14 @@ def main() -> None:
     parser.add_argument("--level", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=1000, help="per terrain")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--pushes", type=float, help="mean time between pushes; as in training by default [s]")
     parser.add_argument("--threads", type=int, default=1, help="physics threads")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     policy, file = load_policy(arguments.run), open_policy(str(arguments.run))
+    if arguments.pushes is not None:
+        config = override(policy.config, (f"randomisation.push_interval_s={arguments.pushes}",))
+        policy = replace(policy, config=config)
     cells = cells_of(policy.config, parse_families(arguments.terrain), arguments.level)
     with Progress(transient=True) as bar:
         steps = bar.add_task("network, then controllers", total=None)
