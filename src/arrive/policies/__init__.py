@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from arrive.deployment.policy_file import PolicyFile
 
 SHIPPED: dict[str, str] = {
-    "joystick": "follows a stick, and walks on all terrains (policies/joystick)",
+    "joystick": "follows a stick, trained on all terrains (policies/joystick)",
 }
 """Name and description of each shipped policy; its file is NAME.onnx."""
 DEFAULT = "joystick"
