@@ -236,6 +236,10 @@ class TestProtocol:
         blocked = played("final", lambda t, task: [min(t, 1.0), 0.0, 0.6], "obstacles", 0.8)
         assert blocked.cause == ["wrong_side"]
 
+    def test_a_robot_that_got_around_the_pillar_is_not_on_the_wrong_side(self):
+        around = played("final", lambda t, task: [min(0.6 * t, 4.25), min(0.2 * t, 1.25), 0.6], "obstacles", 0.2)
+        assert around.cause == ["stalled"]
+
     def test_v_is_told_one_metre_per_second_forward(self):
         task = velocity_task(3, difficulty.TRIAL)
         assert task.command.speed.tolist() == [1.0] * 3

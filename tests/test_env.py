@@ -259,6 +259,7 @@ def test_levels_follow_what_robots_do():
         env.task.command.time_left_s[:] = 0.02
         env.step(torch.zeros(6, 12))
     env.curriculum.levels[:] = torch.tensor([0, 1, 0, 1, 0, 1])
+    env._buffers["level"].copy_(env.curriculum.levels)
     command = env.task.command
     command.counts[:] = torch.tensor([True, True, True, True, False, False])
     command.target_w[:] = torch.tensor([0.0, 0.0, 0.55])
@@ -273,6 +274,40 @@ def test_levels_follow_what_robots_do():
     assert levels[:3] == [1, 0, 0]
     assert levels[3] in (0, 1), "beyond the last level any of them"
     assert levels[4:] == [0, 1]
+
+
+def test_robots_that_review_an_easier_level_keep_their_own_and_do_not_count():
+    config = config_of(num_envs=40, families=("pit",), randomisation=CALM)
+    config = replace(config, terrain=replace(config.terrain, levels=4, start_level=3, review=0.5))
+    env = build_env(config, threads=1)
+    while bool(env._buffers["shortened"].any()):
+        env.task.command.time_left_s[:] = 0.02
+        env.step(torch.zeros(40, 12))
+    own, played = env.curriculum.levels.clone(), env._buffers["level"].clone()
+    reviewing = played < own
+    assert 3 < int(reviewing.sum()) < 37
+    assert torch.equal(played[~reviewing], own[~reviewing])
+    tiles = env.pool.world_index[0, played]
+    assert (env.pool.tile_of_world[tiles] == env.tile_of_env[:, None]).any(1).all(), "they stand on what they play"
+    command = env.task.command
+    command.counts[:], command.time_left_s[:] = True, 0.02
+    command.target_w[:] = torch.tensor([4.0, 0.0, 0.55])
+    env.step(torch.zeros(40, 12))
+    assert torch.equal(env.log.finished.counted, ~reviewing)
+    assert torch.equal(env.log.finished.levels, played)
+    assert torch.equal(env.curriculum.levels, torch.where(reviewing, own, (own - 1).clamp(min=0)))
+
+
+def test_robots_settle_on_the_levels_reached_before():
+    env = build_env(config_of(num_envs=60, families=("pit", "gap", "flat")), threads=1)
+    gap = env.family_of_env == 1
+    before = env.curriculum.levels[gap].clone()
+    env.settle({"pit": torch.tensor([0.2, 0.9]), "flat": torch.tensor([0.0]), "stairs": torch.tensor([1.0])})
+    pits = env.curriculum.levels[env.family_of_env == 0]
+    assert pits.unique().tolist() == [0, 1], "of two levels the nearest"
+    assert torch.equal(env.curriculum.levels[gap], before)
+    assert torch.equal(env._buffers["level"], env.curriculum.levels)
+    assert env._buffers["shortened"].all()
 
 
 def test_shortened_episodes_move_no_level():

@@ -29,7 +29,8 @@ TASK = TaskConfig(rewards=dict(PAPER_REWARDS))
 
 def rasters_of(tile: Tile) -> Rasters:
     fall_height = torch.tensor([tile.fall_height], dtype=torch.float32)
-    return Rasters(*(torch.from_numpy(r)[None] for r in (tile.heights, tile.target_valid, tile.crossing)), fall_height)
+    rasters = (torch.from_numpy(r)[None] for r in (tile.heights, tile.target_valid, tile.crossing))
+    return Rasters(*rasters, fall_height, torch.tensor([tile.parted]))
 
 
 def tile_of(family: str, share: float = 1.0) -> Tile:
@@ -320,6 +321,22 @@ class TestLevels:
 
     def test_of_a_family_with_one_stay(self):
         assert levels_after(0, 1, promote=True, n=50).unique().tolist() == [0]
+
+    def test_under_review_are_easier_ones_in_the_wished_share(self):
+        curriculum = LevelCurriculum(torch.full((9000,), 10), 0, torch.Generator().manual_seed(0))
+        curriculum.levels[:] = torch.tensor([0, 1, 4]).repeat(3000)
+        dealt = curriculum.deal(torch.arange(9000), review=0.25).view(-1, 3)
+        assert not dealt[:, 0].any()
+        assert dealt[:, 1].unique().tolist() == [0, 1]
+        counts = torch.bincount(dealt[:, 2], minlength=5)
+        # Within five standard deviations.
+        expected = 3000 * torch.tensor([0.0625, 0.0625, 0.0625, 0.0625, 0.75])
+        assert ((counts - expected).abs() < 5 * expected.sqrt()).all()
+
+    def test_without_review_are_the_own_ones(self):
+        curriculum = LevelCurriculum(torch.full((50,), 10), 7, torch.Generator().manual_seed(0))
+        ids = torch.tensor([3, 40, 7])
+        assert torch.equal(curriculum.deal(ids, review=0.0), curriculum.levels[ids])
 
     def test_start_up_to_the_configured_one(self):
         num_levels = torch.tensor([10, 1]).repeat(500)

@@ -190,6 +190,24 @@ def test_evaluation_terrain_cannot_be_bypassed():
         assert (np.ptp(ahead, axis=0) > 0.05).all(), name
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_obstacles_are_crossed_by_who_cannot_go_straight(level):
+    """A robot 0.6 m wide that walks straight to the target touches a pillar, on every way that counts and no other."""
+    tile = tile_at("obstacles", "training", level)
+    rng = np.random.default_rng(0)
+    radius, angle = rng.uniform(1.0, 5.0, 2000), rng.uniform(-np.pi, np.pi, 2000)
+    targets = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+    ways = targets[:, None] * np.linspace(0.0, 1.0, 400)[:, None]
+    apart = np.full(len(targets), np.inf)
+    for pillar in tile.boxes[1:]:
+        outside = np.maximum(np.abs(ways - pillar.center[:2]) - pillar.half_size[:2], 0.0)
+        apart = np.minimum(apart, outside.max(-1).min(-1))
+    crossing = tile.crossing[cell_index(targets[:, 0]), cell_index(targets[:, 1])]
+    assert crossing[apart < 0.22].all()
+    assert not crossing[apart > 0.38].any()
+    assert 0.1 < crossing[tile.target_valid[cell_index(targets[:, 0]), cell_index(targets[:, 1])]].mean() < 0.9
+
+
 def test_an_obstacle_blocks_the_straight_way_to_the_evaluation_target():
     for level, seed in product(LEVELS, range(10)):
         tile = tile_at("obstacles", "evaluation", level, seed)

@@ -350,6 +350,19 @@ def test_a_run_can_start_from_the_networks_of_another(tmp_path):
     assert (trainer.iteration, trainer.samples) == (0, 0)
 
 
+def test_a_warm_start_goes_on_at_the_levels_that_were_reached(tmp_path):
+    first = make_trainer(tmp_path / "first", terrain='["flat", "gap", "pit"]')
+    pits = first.env.family_of_env == 2
+    first.env.curriculum.levels[pits] = int(first.env.pool.num_levels[2]) - 1
+    first.save()
+    second = make_trainer(tmp_path / "second", "terrain.levels=7", "terrain.start_level=0", terrain='["pit", "stairs"]')
+    second.warm_start(tmp_path / "first" / "checkpoint.pt")
+    levels = second.env.curriculum.levels
+    assert levels[second.env.family_of_env == 0].unique().tolist() == [6]
+    assert levels[second.env.family_of_env == 1].unique().tolist() == [0]
+    run(second, 1)
+
+
 def test_a_warm_start_can_begin_with_another_action_noise(tmp_path):
     train("flat", tmp_path / "first", 1)
     trainer = make_trainer(tmp_path / "second", "ppo.warm_std=0.15")

@@ -113,7 +113,10 @@ class TerrainConfig:
     variants: int = 8
     """Different worlds per family and level: terrain where it is random, friction and payload always."""
     start_level: int = 0
-    """Robots start on levels up to this one."""
+    """Robots start on levels up to this one; where a run starts from another one, on the levels reached there."""
+    review: float = 0.0
+    """Share of the episodes on a random easier level than the robot's own, so that those are not forgotten; they move
+    no level."""
 
 
 @dataclass(frozen=True)

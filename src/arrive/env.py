@@ -34,7 +34,8 @@ class Finished:
     env_ids: Tensor
     success: Tensor
     counted: Tensor
-    """False for the shortened episodes with which a run begins, and for diverged simulations."""
+    """False for the shortened episodes with which a run begins, those that review an easier level, and diverged
+    simulations."""
     levels: Tensor
     """Level they were played on."""
     distance: Tensor
@@ -121,6 +122,21 @@ class ArriveEnv(VecEnv):
             self.curriculum.levels = self._assignment[1]
         self.exploration = ExplorationSwitch(self.config.task, self.family_of_env)
 
+    def settle(self, levels: dict[str, Tensor]) -> None:
+        """Start every robot's first episode again, at levels that were reached before.
+
+        Args:
+            levels: of robots, by terrain family: 0 for the easiest to 1 for the hardest, in any number. The robots of a
+                family that is not among them stay on their level.
+        """
+        for index, family in enumerate(self.pool.families):
+            if family.name in levels:
+                ids = (self.family_of_env == index).nonzero().squeeze(-1)
+                reached = levels[family.name].to(self.device)
+                drawn = reached[(self._uniform(len(ids)) * len(reached)).long()]
+                self.curriculum.levels[ids] = (drawn * (self.pool.num_levels[index] - 1)).round().long()
+        self.restart()
+
     def _allocate(self) -> None:
         n, joints, feet = self.num_envs, self.num_actions, len(self.robot.foot_sites)
         zeros = lambda *shape: torch.zeros(*shape, device=self.device)  # noqa: E731
@@ -136,6 +152,7 @@ class ArriveEnv(VecEnv):
             "shortened": torch.zeros(n, dtype=torch.bool, device=self.device),
             "retired": torch.zeros(n, dtype=torch.bool, device=self.device),
             "tile": torch.zeros(n, dtype=torch.long, device=self.device),
+            "level": torch.zeros(n, dtype=torch.long, device=self.device),
         }
 
     @property
@@ -279,7 +296,7 @@ class ArriveEnv(VecEnv):
         if not bool(self._finite.all()):
             terms = {name: torch.where(self._finite, value, 0.0) for name, value in terms.items()}
         share, weight = self.task.task_share(state, self._failed)
-        self.exploration.record(share, weight * (self._finite & ~self._buffers["shortened"]))
+        self.exploration.record(share, weight * self._counted)
         self.log = StepLog(rewards=terms, diverged=int((~self._finite).sum()))
         return torch.stack(list(terms.values())).sum(0)
 
@@ -288,19 +305,23 @@ class ArriveEnv(VecEnv):
         ids = self._ended.nonzero().squeeze(-1)
         if not len(ids):
             return
-        counted = self._finite[ids] & ~self._buffers["shortened"][ids]
         self.log.finished = Finished(
             env_ids=ids,
             success=outcome.success[ids],
-            counted=counted,
-            levels=self.curriculum.levels[ids],
+            counted=self._counted[ids],
+            levels=self._buffers["level"][ids],
             distance=outcome.remaining[ids],
             failures={cause: mask[ids] for cause, mask in outcome.failures.items()},
             observation=self._observe()[ids] if self.final_observations else None,
         )
         if self._learning:
-            fair = self._ended & self._finite & ~self._buffers["shortened"]
-            self.curriculum.update(fair, outcome.promote, outcome.demote)
+            self.curriculum.update(self._ended & self._counted, outcome.promote, outcome.demote)
+
+    @property
+    def _counted(self) -> Tensor:
+        """(num_envs,) bool: episodes that say how well robots do on their own level."""
+        reviewing = self._buffers["level"] < self.curriculum.levels
+        return self._finite & ~self._buffers["shortened"] & ~reviewing
 
     def _restart(self) -> None:
         ids = self._ended.nonzero().squeeze(-1)
@@ -308,7 +329,9 @@ class ArriveEnv(VecEnv):
             self._reset(ids, first=False)
 
     def _reset(self, ids: Tensor, first: bool) -> None:
-        worlds = self._choose_worlds(ids)
+        levels = self.curriculum.deal(ids, self.config.terrain.review if self._learning else 0.0)
+        self._buffers["level"][ids] = levels
+        worlds = self._choose_worlds(ids, levels)
         self.physics.place(ids, worlds)
         self._buffers["tile"][ids] = self.pool.tile_of_world.to(self.device)[worlds]
         qpos, qvel = self._start_states(len(ids))
@@ -322,9 +345,9 @@ class ArriveEnv(VecEnv):
         self.episode_length_buf[ids] = 0
         self.task.new_command(Start(ids, qpos[:, :3].float(), self._buffers["tile"][ids]), first)
 
-    def _choose_worlds(self, ids: Tensor) -> Tensor:
+    def _choose_worlds(self, ids: Tensor, levels: Tensor) -> Tensor:
         variant = (self._uniform(len(ids)) * self.config.terrain.variants).long()
-        return self.pool.world_index.to(self.device)[self.family_of_env[ids], self.curriculum.levels[ids], variant]
+        return self.pool.world_index.to(self.device)[self.family_of_env[ids], levels, variant]
 
     def _start_states(self, n: int) -> tuple[Tensor, Tensor]:
         """Random poses and velocities around standing at the tile's origin, in MuJoCo's order, float64."""

@@ -33,6 +33,7 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     yield "ppo.warm_std", ppo.warm_std, "0 or more and finite", 0.0 <= ppo.warm_std < math.inf
     start = terrain.start_level
     yield "terrain.start_level", start, f"between 0 and {terrain.levels - 1}", 0 <= start < max(terrain.levels, 1)
+    yield "terrain.review", terrain.review, "at least 0 and less than 1", 0.0 <= terrain.review < 1.0
     yield "task.episode_min_s", task.episode_min_s, "at most task.episode_s", task.episode_min_s <= task.episode_s
     yield "task.retarget_s", task.retarget_s, "0 or more and finite", 0.0 <= task.retarget_s < math.inf
     yield "task.stop_share", task.stop_share, "between 0 and 1", 0.0 <= task.stop_share <= 1.0

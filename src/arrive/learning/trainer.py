@@ -323,7 +323,10 @@ class Trainer:
         return state if self.ranks.leads else state | others[self.ranks.rank - 1]
 
     def warm_start(self, path: Path) -> None:
-        """Take networks and optimiser from another run's checkpoint, the action noise if wished, and nothing else."""
+        """Take networks and optimiser from another run's checkpoint, and the levels of the families that both have.
+
+        The action noise is taken where `ppo.warm_std` does not give another one.
+        """
         content = self._load_matching(path)
         try:
             self.algorithm.load(content["state"]["algorithm"], None, True)
@@ -331,6 +334,8 @@ class Trainer:
             raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
         if self.config.ppo.warm_std > 0.0:
             self.algorithm.get_policy().distribution.log_std_param.data.fill_(math.log(self.config.ppo.warm_std))
+        self.env.settle(_reached_levels(content))
+        self.look()
 
     def _load_matching(self, path: Path) -> dict:
         content = load_checked(path)
@@ -338,3 +343,14 @@ class Trainer:
             raise ArriveError(f"{path} was trained for the robot {content['robot']!r}, not {self.config.robot!r}")
         check_schema(content["schema"], self.env.observer.schema(), path)
         return content
+
+
+def _reached_levels(content: dict) -> dict[str, torch.Tensor]:
+    """Levels of a checkpoint's robots by terrain family, 0 for the easiest to 1 for the hardest."""
+    terrain, state = from_dict(Config, content["config"]).terrain, content["state"]
+    parts = [state["env"], *(other["env"] for other in state.get("others", ()))]
+    count, last = len(terrain.families), max(terrain.levels - 1, 1)
+    return {
+        name: torch.cat([part["levels"][index::count] for part in parts]) / last
+        for index, name in enumerate(terrain.families)
+    }

@@ -24,6 +24,22 @@ class LevelCurriculum:
         uniform = torch.rand(below.shape, generator=self._generator, device=below.device)
         return (uniform * below).floor()
 
+    def deal(self, env_ids: Tensor, review: float) -> Tensor:
+        """Levels for the next episodes of some robots: their own, or a random easier one.
+
+        Args:
+            env_ids: (n,) robots.
+            review: share of the episodes on an easier level; those of robots on the first one stay there.
+
+        Returns:
+            (n,) levels.
+        """
+        own = self.levels[env_ids]
+        if review <= 0.0:
+            return own
+        reviews = torch.rand(own.shape, generator=self._generator, device=own.device) < review
+        return torch.where(reviews, self._draw(own).long(), own)
+
     def update(self, ended: Tensor, promote: Tensor, demote: Tensor) -> None:
         """Move the robots whose episode ended; who solves the last level goes on at a random one (legged_gym).
 

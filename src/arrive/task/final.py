@@ -154,8 +154,8 @@ class FinalPositionTask:
     def _apart(self, state: State, missed: Tensor) -> Tensor:
         """(n,) bool: the robot set out but the terrain still lies before its target, for episodes that end now.
 
-        The target counts as crossing but the robot's place does not (a gap, a wall, stairs), or a high obstacle stands
-        on the straight line.
+        The target counts as crossing but the robot's place does not, where that tells (a gap, a wall, stairs), or a
+        high obstacle stands on the straight line.
         """
         apart = torch.zeros_like(missed)
         came = self._command.start_distance - distance_to_target(state, self._command) > APPROACH
@@ -163,7 +163,8 @@ class FinalPositionTask:
         if not len(ids):
             return apart
         tiles, here, there = self._tile_ids[ids], state.base_pos_w[ids, :2], self._command.target_w[ids, :2]
-        before = self._command.counts[ids] & ~look_up(self._rasters.crossing, tiles, here[:, None]).squeeze(1)
+        before = self._command.counts[ids] & self._rasters.parted[tiles]
+        before &= ~look_up(self._rasters.crossing, tiles, here[:, None]).squeeze(1)
         along = torch.linspace(0.0, 1.0, LINE_POINTS, device=here.device)[:, None]
         heights = look_up(self._rasters.heights, tiles, torch.lerp(here[:, None], there[:, None], along))
         blocked = heights.amax(-1) > torch.maximum(heights[:, 0], heights[:, -1]) + OBSTACLE_HEIGHT

@@ -15,7 +15,7 @@ START_RADIUS = 0.4
 """The ground is level this far around the start [m]."""
 MIN_VALID_SHARE = 0.25
 """Least share of the training targets that must be valid, or re-sampling gets slow."""
-MIN_CROSSING_SHARE = 0.1
+MIN_CROSSING_SHARE = 0.05
 """Least share that must be valid and count as crossing, or the curriculum gets no evidence."""
 
 

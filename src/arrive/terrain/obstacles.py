@@ -21,6 +21,10 @@ MAX_PILLARS = 34
 """Pillars of a tile where that many find room."""
 MAX_DARTS = 400
 """Places tried for a pillar; the widest ones find room for about half of `MAX_PILLARS`."""
+ROBOT_HALF_WIDTH = 0.3
+"""A robot on a straight way touches the pillars that are nearer to it than this [m]."""
+SHADOW_ANGLES = 720
+"""Directions from the start in which pillars are looked for: at most 5 cm apart within the targets' distance."""
 TRAINING_HALF = 6.0
 """Pillars have their centres in the square of this half edge in training [m]."""
 EVALUATION_X = (1.2, 4.4)
@@ -30,7 +34,8 @@ EVALUATION_X = (1.2, 4.4)
 def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
     """Square pillars at random places with passages between; in evaluation the first one blocks the straight line.
 
-    Targets are invalid on and near pillars; every other one counts as crossing.
+    Targets are invalid on and near pillars. Those to which no straight way leads from the start count as crossing: who
+    walks to another one has walked around nothing.
     """
     if layout == "training":
         low, high = np.full(2, -TRAINING_HALF), np.full(2, TRAINING_HALF)
@@ -44,7 +49,8 @@ def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
     pillars = [block((x - half, x + half), (y - half, y + half), HEIGHT) for x, y in centers]
     palette = [LIGHT] + [ACCENT] * len(pillars)
     valid = ~dilate(_covered(centers, half), STANDING_RADIUS)
-    return assemble([square(GROUND_HALF, 0.0), *pillars], palette, target_valid=valid)
+    hidden = _hidden(np.array(centers), half + ROBOT_HALF_WIDTH)
+    return assemble([square(GROUND_HALF, 0.0), *pillars], palette, valid, hidden, parted=False)
 
 
 def _throw_darts(
@@ -74,6 +80,19 @@ def _covered(centers: list[np.ndarray], half: float) -> np.ndarray:
     x, y = cell_grid()
     squares = (np.maximum(np.abs(x - center[0]), np.abs(y - center[1])) <= half for center in centers)
     return reduce(np.logical_or, squares, np.zeros((RASTER_SIZE, RASTER_SIZE), dtype=bool))
+
+
+def _hidden(centers: np.ndarray, half: float) -> np.ndarray:
+    """Cells that the straight way from the origin reaches only through a square of this half edge."""
+    angles = np.linspace(-np.pi, np.pi, SHADOW_ANGLES, endpoint=False)
+    direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+    direction = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
+    sides = np.stack([(centers - half) / direction, (centers + half) / direction])
+    entry, leave = sides.min(0).max(-1), sides.max(0).min(-1)
+    first = np.where((entry < leave) & (leave > 0.0), entry, np.inf).min(-1)
+    x, y = cell_grid()
+    nearest = np.round((np.arctan2(y, x) + np.pi) / (2 * np.pi) * SHADOW_ANGLES).astype(int) % SHADOW_ANGLES
+    return np.hypot(x, y) > first[nearest]
 
 
 OBSTACLES = Family("obstacles", "pillars to walk around", "side", "m", 0.2, 1.1, build, random=True)

@@ -48,6 +48,8 @@ class Tile:
     crossing: np.ndarray
     """bool raster: reaching this cell from the start means having crossed the terrain; only such targets count
     for the curriculum."""
+    parted: bool = True
+    """Whether the cells that are not crossing all lie on this side of the terrain."""
     height_field: HeightField | None = None
     fall_height: float = -np.inf
     """A base lower than this has fallen into a hole [m]."""
