@@ -2,11 +2,11 @@
 
     python scripts/campaign.py --minutes 150 --processes 2 --threads 1
 
-Each run of the queue is a run folder under `policies/`. The first unfinished one whose start is finished is trained for
-a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration in progress. Several
-processes of one thread each share a run's robots and make more samples than one process of several threads. What has
-all its samples, or is named by `--also`, is measured by the paper's protocol and exported. `results/table1.md` then has
-the paper's Table I beside every policy that was measured.
+Each run of the queue is a run folder under `policies/`. The first unfinished one that has begun or whose start is
+finished is trained for a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration
+in progress. Several processes of one thread each share a run's robots and make more samples than one process of several
+threads. What has all its samples, or is named by `--also`, is measured by the paper's protocol and exported.
+`results/table1.md` then has the paper's Table I beside every policy that was measured.
 """
 
 import json
@@ -145,10 +145,11 @@ class Campaign:
         return trained(self.folder(name))[0] >= self._goals[name]
 
     def next(self) -> Entry | None:
-        """The first run that is unfinished and may begin."""
+        """The first unfinished run that has begun or whose start is finished."""
         for entry in self._entries:
-            begins = entry.start_from not in self._goals or self.finished(entry.start_from)
-            if begins and not self.finished(entry.name):
+            ready = entry.start_from not in self._goals or self.finished(entry.start_from)
+            begun = trained(self.folder(entry.name))[0] > 0
+            if (ready or begun) and not self.finished(entry.name):
                 return entry
         return None
 

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -97,6 +98,18 @@ def test_a_campaign_that_ran_out_of_time_goes_on_where_it_stood(tmp_path):
     campaign.run(arguments(tmp_path, 5.0), arrive, arrive.clock)
     assert campaign.trained(tmp_path / "policies" / "all") == (40, 10.0)
     assert "--resume" in arrive.calls[-1]
+
+
+def test_a_run_that_has_begun_goes_on_whatever_became_of_its_start(tmp_path):
+    """Its start may be replaced by a newer one that is not finished; the run has its own checkpoint."""
+    arrive = FakeArrive()
+    campaign.run(arguments(tmp_path, 25.0), arrive, arrive.clock)
+    shutil.rmtree(tmp_path / "policies" / "all")
+    queue = QUEUE.split("[[run]]")
+    turned = "[[run]]".join([queue[0], queue[2], queue[1]])
+    arrive.minutes = 0.0
+    campaign.run(arguments(tmp_path, 5.0, turned), arrive, arrive.clock)
+    assert Path(arrive.calls[-1][arrive.calls[-1].index("--resume") + 1]).name == "gap"
 
 
 def test_a_training_that_was_interrupted_ends_the_campaign(tmp_path):

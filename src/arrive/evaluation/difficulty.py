@@ -45,9 +45,9 @@ LEVELS: dict[str, tuple[float, ...]] = {
     "stairs": _range(0.05, 0.45, 0.05),
     "stairs_down": _range(0.05, 0.45, 0.05),
     "steps": _range(0.02, 0.24, 0.02),
-    "obstacles": _range(0.25, 1.05, 0.10),
+    "obstacles": _range(0.25, 1.05, 0.05),
     "gap": _range(0.1, 1.4, 0.1),
-    "pit": _range(0.05, 1.05, 0.10),
+    "pit": _range(0.05, 1.05, 0.05),
 }
 """Parameters that are measured, past the paper's best; the others get `DEFAULT_LEVELS` of their own range."""
 DEFAULT_LEVELS = 10
