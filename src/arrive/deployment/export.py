@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,7 @@ def _describe_robot(robot: Robot) -> dict[str, Any]:
 
 def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:
     """The observation's terms, from a task without any robots."""
-    nothing = Rasters(*(torch.zeros(1) for _ in range(4)))
+    nothing = Rasters(*(torch.zeros(1) for _ in fields(Rasters)))
     task = get_task(config.task.name)(config, nothing, torch.Generator())
     return Observer(task.observation_terms(robot), False, torch.device("cpu")).schema()
 
