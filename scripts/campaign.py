@@ -147,9 +147,9 @@ class Campaign:
     def next(self) -> Entry | None:
         """The first unfinished run that has begun or whose start is finished."""
         for entry in self._entries:
-            ready = entry.start_from not in self._goals or self.finished(entry.start_from)
-            begun = trained(self.folder(entry.name))[0] > 0
-            if (ready or begun) and not self.finished(entry.name):
+            iterations, _ = trained(self.folder(entry.name))
+            ready = iterations > 0 or entry.start_from not in self._goals or self.finished(entry.start_from)
+            if ready and iterations < self._goals[entry.name]:
                 return entry
         return None
 

@@ -19,18 +19,12 @@ from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
 from arrive.task.task import Start, Trial
 from arrive.terrain import FAMILIES, build_tile
-from arrive.terrain.pool import Rasters
+from arrive.terrain.pool import stack_rasters
 from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_index
 
 MANY = 20_000
 START = (0.15, -0.2, 0.6)
 TASK = TaskConfig(rewards=dict(PAPER_REWARDS))
-
-
-def rasters_of(tile: Tile) -> Rasters:
-    fall_height = torch.tensor([tile.fall_height], dtype=torch.float32)
-    rasters = (torch.from_numpy(r)[None] for r in (tile.heights, tile.target_valid, tile.crossing))
-    return Rasters(*rasters, fall_height, torch.tensor([tile.parted]))
 
 
 def tile_of(family: str, share: float = 1.0) -> Tile:
@@ -45,7 +39,7 @@ def starts(n: int) -> Tensor:
 
 def targets_on(tile: Tile, n: int = MANY) -> np.ndarray:
     tile_ids = torch.zeros(n, dtype=torch.long)
-    return sample_targets(rasters_of(tile), tile_ids, starts(n), TASK, torch.Generator().manual_seed(0)).numpy()
+    return sample_targets(stack_rasters([tile]), tile_ids, starts(n), TASK, torch.Generator().manual_seed(0)).numpy()
 
 
 def distance_from_uniform(samples: np.ndarray, low: float, high: float) -> float:
@@ -116,7 +110,7 @@ class TestTargets:
 
 def a_task(tile: Tile, n: int, config: TaskConfig = TASK, **options) -> FinalPositionTask:
     return FinalPositionTask(
-        Config(num_envs=n, task=config), rasters_of(tile), torch.Generator().manual_seed(0), **options
+        Config(num_envs=n, task=config), stack_rasters([tile]), torch.Generator().manual_seed(0), **options
     )
 
 
@@ -176,7 +170,7 @@ class TestRetargeting:
         tile = tile_of("flat")
         corner = torch.tensor([[6.0, 6.0, 0.6]]).expand(MANY, 3)
         ids, generator = torch.zeros(MANY, dtype=torch.long), torch.Generator().manual_seed(0)
-        targets = sample_targets(rasters_of(tile), ids, corner, TASK, generator)
+        targets = sample_targets(stack_rasters([tile]), ids, corner, TASK, generator)
         assert float(targets[:, :2].abs().max()) < RASTER_HALF - 0.4
 
 

@@ -11,7 +11,7 @@ from arrive.config import Config
 from arrive.errors import ArriveError, unknown_name
 from arrive.physics.engine import Physics, Readings
 from arrive.robots.robot import Robot
-from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
+from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
 from arrive.task.feet import follow_feet
 from arrive.task.heights import HeightGrid, grid_heights
 from arrive.task.observations import Observer
@@ -95,7 +95,7 @@ class ArriveEnv(VecEnv):
         self.observer = Observer(task.observation_terms(robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
         self._down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
-        dealt = torch.arange(self.num_envs, device=self.device) % len(pool.families)
+        dealt = deal_families(self.num_envs, len(pool.families)).to(self.device)
         self.family_of_env = dealt if assignment is None else assignment[0]
         self.log = StepLog()
         self._allocate()
@@ -281,6 +281,8 @@ class ArriveEnv(VecEnv):
         crashed = (state.crash_contacts > 0) | ~self._finite
         self._failed = crashed | fell
         self._ended = (time_out | self._failed) & ~self._buffers["retired"]
+        reviewing = self._buffers["level"] < self.curriculum.levels
+        self._counted = self._finite & ~self._buffers["shortened"] & ~reviewing
         outcome = self.task.judge(state, crashed, fell)
         return outcome, time_out & ~self._failed
 
@@ -316,12 +318,6 @@ class ArriveEnv(VecEnv):
         )
         if self._learning:
             self.curriculum.update(self._ended & self._counted, outcome.promote, outcome.demote)
-
-    @property
-    def _counted(self) -> Tensor:
-        """(num_envs,) bool: episodes that say how well robots do on their own level."""
-        reviewing = self._buffers["level"] < self.curriculum.levels
-        return self._finite & ~self._buffers["shortened"] & ~reviewing
 
     def _restart(self) -> None:
         ids = self._ended.nonzero().squeeze(-1)

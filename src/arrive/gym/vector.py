@@ -14,6 +14,7 @@ from arrive.config import Config
 from arrive.env import POLICY, Finished
 from arrive.errors import ArriveError
 from arrive.recipe import make_config
+from arrive.task.curriculum import deal_families
 from arrive.terrain import parse_families
 from arrive.terrain.pool import level_values
 
@@ -124,7 +125,7 @@ def _placement(config: Config, level: int | None) -> Placement:
     families = parse_families(",".join(config.terrain.families))
     # A family without a parameter has one level only.
     available = torch.tensor([min(level, len(level_values(f, config.terrain.levels)) - 1) for f in families])
-    family = torch.arange(config.num_envs) % len(families)
+    family = deal_families(config.num_envs, len(families))
     return Placement(assignment=(family, available[family]))
 
 

@@ -29,6 +29,7 @@ from arrive.learning.report import IterationReport
 from arrive.learning.rundir import commit
 from arrive.learning.statistics import TrainingStatistics
 from arrive.learning.threads import one_torch_thread
+from arrive.task.curriculum import deal_families
 
 CHECKPOINT_INTERVAL_S = 120.0
 """Time between checkpoints [s]."""
@@ -348,9 +349,7 @@ class Trainer:
 def _reached_levels(content: dict) -> dict[str, torch.Tensor]:
     """Levels of a checkpoint's robots by terrain family, 0 for the easiest to 1 for the hardest."""
     terrain, state = from_dict(Config, content["config"]).terrain, content["state"]
-    parts = [state["env"], *(other["env"] for other in state.get("others", ()))]
-    count, last = len(terrain.families), max(terrain.levels - 1, 1)
-    return {
-        name: torch.cat([part["levels"][index::count] for part in parts]) / last
-        for index, name in enumerate(terrain.families)
-    }
+    parts = [state["env"]["levels"], *(other["env"]["levels"] for other in state.get("others", ()))]
+    levels = torch.cat(parts) / max(terrain.levels - 1, 1)
+    family = torch.cat([deal_families(len(part), len(terrain.families)) for part in parts])
+    return {name: levels[family == index] for index, name in enumerate(terrain.families)}

@@ -6,6 +6,11 @@ from torch import Tensor
 from arrive.config import TaskConfig
 
 
+def deal_families(num_envs: int, num_families: int) -> Tensor:
+    """(num_envs,) index of each robot's terrain family: families get equal parts of the robots."""
+    return torch.arange(num_envs) % num_families
+
+
 class LevelCurriculum:
     """Each robot's terrain level: up after a success, down after a failure (paper, section Episode Process)."""
 

@@ -105,7 +105,7 @@ def build_pool(
                 worlds.append(_deal_world(config, robot, tiles[-1], rng))
                 progress(len(worlds), total)
         index[f, len(levels) :] = index[f, len(levels) - 1]
-    rasters = _stack(tiles)
+    rasters = stack_rasters(tiles)
     return TerrainPool(
         families=tuple(families),
         values=tuple(map(tuple, values)),
@@ -123,7 +123,8 @@ def _deal_world(config: Config, robot: Robot, tile: Tile, rng: np.random.Generat
     return compile_world(robot, tile, config.physics, friction, payload)
 
 
-def _stack(tiles: Sequence[Tile]) -> Rasters:
+def stack_rasters(tiles: Sequence[Tile]) -> Rasters:
+    """The rasters of these tiles, in their order."""
     return Rasters(
         heights=torch.from_numpy(np.stack([tile.heights for tile in tiles])),
         target_valid=torch.from_numpy(np.stack([tile.target_valid for tile in tiles])),
