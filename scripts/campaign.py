@@ -217,8 +217,7 @@ def table_text(runs: Sequence[Run]) -> str:
         name = f"{row['family']}, {row['parameter']} [{row['unit']}]" if row["unit"] else row["family"]
         lines.append(f"| {' | '.join([name, *cells])} |")
     notes = [
-        f"- {run.name}: {run.samples / 1e6:.1f} M samples, seed {run.record['config']['seed']}, "
-        f"commit {run.record['commit'][:10]}"
+        f"- {run.name}: {run.amount}, seed {run.record['config']['seed']}, commit {run.record['commit'][:10]}"
         for run in runs
     ]
     title = "# Table I of the paper, and ours\n\nHardest terrain solved with at least 95 / 80 / 50 % success.\n"

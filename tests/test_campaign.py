@@ -12,8 +12,9 @@ import pytest
 
 from arrive.cli import main
 from arrive.errors import ArriveError
+from arrive.evaluation.records import read_run
 from arrive.learning.checkpoint import CHECKPOINT_NAME
-from arrive.learning.logs import LOG_NAME, read_log
+from arrive.learning.logs import LOG_NAME
 
 ROOT = Path(__file__).parent.parent
 SPEC = importlib.util.spec_from_file_location("campaign", ROOT / "scripts" / "campaign.py")
@@ -220,16 +221,34 @@ def test_a_bad_queue_is_refused_before_anything_is_trained(tmp_path, queue, mess
 def test_the_queue_that_is_committed_can_be_read():
     walk, generalist, *specialists = campaign.read_queue(ROOT / "scripts" / "campaign.toml")
     assert (walk.name, generalist.name, generalist.terrain) == ("walk", "generalist", "all")
-    before = read_log(ROOT / generalist.start_from)["progress/samples"][-1]
-    assert before + generalist.iterations * 1024 * 24 >= 100e6
+    start = read_run(ROOT / generalist.start_from)
+    assert start.samples_before + start.samples + generalist.iterations * 1024 * 24 >= 100e6
     assert {entry.terrain for entry in specialists} == {"stairs", "gap", "pit", "obstacles", "steps", "slope"}
+
+
+def train_a_little(folder: Path, iterations: int, *options: str) -> None:
+    """So many iterations of 16 samples."""
+    small = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.variants=1", "terrain.levels=2")
+    common = ("--iterations", str(iterations), "--num-envs", "4", "--threads", "1", "--out", str(folder))
+    main(["train", "pit", *common, *options, "--set", *small])
+
+
+def test_a_run_knows_the_samples_of_all_the_runs_before(tmp_path):
+    before, start = [], ()
+    for name, iterations in (("first", 1), ("second", 3), ("third", 1)):
+        train_a_little(tmp_path / name, iterations, *start)
+        start = ("--start-from", str(tmp_path / name))
+        before.append(read_run(tmp_path / name).samples_before)
+    assert before == [0, 16, 64]
+    main(["train", "pit", "--resume", str(tmp_path / "third"), "--iterations", "2", "--threads", "1"])
+    third = read_run(tmp_path / "third")
+    assert (third.samples_before, third.samples) == (64, 32)
+    assert third.amount == "0.00 M samples after 0.0 M of the runs before"
 
 
 def test_the_table_has_the_paper_beside_a_measured_run(tmp_path):
     folder = tmp_path / "pit"
-    small = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.variants=1", "terrain.levels=2")
-    options = ("--iterations", "1", "--num-envs", "4", "--threads", "1", "--out", str(folder))
-    main(["train", "pit", *options, "--set", *small])
+    train_a_little(folder, 1)
     level = {"value": 0.05, "episodes": 500, "success": 0.99, "interval": [0.97, 1.0], "failures": {}}
     limits = {"max_at_95": 0.05, "max_at_80": 0.05, "max_at_50": None}
     family = {"parameter": "depth", "unit": "m", "levels": [level], **limits}
@@ -238,4 +257,4 @@ def test_the_table_has_the_paper_beside_a_measured_run(tmp_path):
     text = campaign.table_text([campaign.read_run(folder)])
     row = next(line for line in text.splitlines() if line.startswith("| pit"))
     assert row.endswith("| 0.1 | 0.65 | 0.95 | 0.05 / 0.05 / - |")
-    assert "123.0 M samples, seed 1" in text
+    assert "123.00 M samples, seed 1" in text

@@ -14,6 +14,7 @@ from arrive.errors import ArriveError
 from arrive.presets import PAPER_REWARDS
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
 from arrive.task.final import FinalPositionTask
+from arrive.task.heights import look_up
 from arrive.task.rewards import task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
@@ -37,9 +38,18 @@ def starts(n: int) -> Tensor:
     return torch.tensor([START]).expand(n, 3)
 
 
-def targets_on(tile: Tile, n: int = MANY) -> np.ndarray:
+def targets_on(tile: Tile, n: int = MANY, config: TaskConfig = TASK) -> np.ndarray:
     tile_ids = torch.zeros(n, dtype=torch.long)
-    return sample_targets(stack_rasters([tile]), tile_ids, starts(n), TASK, torch.Generator().manual_seed(0)).numpy()
+    return sample_targets(stack_rasters([tile]), tile_ids, starts(n), config, torch.Generator().manual_seed(0)).numpy()
+
+
+def crossing_share(tile: Tile, share: float) -> float:
+    """How many of the targets count as crossing when this share of them is drawn only there."""
+    targets = targets_on(tile, config=replace(TASK, crossing_share=share))
+    tile_ids = torch.zeros(MANY, dtype=torch.long)
+    points = torch.from_numpy(targets[:, None, :2])
+    assert bool(look_up(stack_rasters([tile]).target_valid, tile_ids, points).all())
+    return float(look_up(stack_rasters([tile]).crossing, tile_ids, points).float().mean())
 
 
 def distance_from_uniform(samples: np.ndarray, low: float, high: float) -> float:
@@ -165,6 +175,17 @@ class TestRetargeting:
         assert task.command.target_w[stops, 2].tolist() == pytest.approx([expected] * int(stops.sum()), abs=0.03)
         assert not bool(task.command.counts[stops].any())
         assert float((task.command.target_w - torch.tensor([3.0, 0.0, 1.7]))[~stops].norm(dim=-1).min()) > 0.9
+
+    def test_a_share_of_them_is_only_where_it_counts(self):
+        tile = tile_of("obstacles", 0.3)
+        anywhere = crossing_share(tile, 0.0)
+        assert 0.1 < anywhere < 0.6
+        assert crossing_share(tile, 0.5) == pytest.approx((1.0 + anywhere) / 2, abs=0.03)
+        assert crossing_share(tile, 1.0) > 0.995
+
+    def test_where_none_counts_they_are_anywhere(self):
+        tile = tile_of("flat")
+        assert crossing_share(replace(tile, crossing=np.zeros_like(tile.crossing)), 1.0) == 0.0
 
     def test_targets_stay_on_the_tile(self):
         tile = tile_of("flat")

@@ -81,6 +81,9 @@ class TaskConfig:
     """A robot this close to its target at the end has arrived [m]."""
     target_distance: tuple[float, float] = (1.0, 5.0)
     """Distance of targets from the start, uniform [m]."""
+    crossing_share: float = 0.0
+    """Share of the targets that are drawn only where they count, beyond the terrain to be crossed: of all those among
+    pillars, two thirds can be reached straight."""
     retarget_s: float = 0.0
     """Mean time after which a robot in training gets another target and the time for it, without an end of the episode;
     0 for never [s]."""

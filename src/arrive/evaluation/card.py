@@ -38,7 +38,7 @@ def card_text(run: Run, with_curves: bool) -> str:
         f"# {run.name}",
         f"{config['robot']}, task `{config['task']['name']}`, preset `{config['preset']}`, networks "
         f"{'-'.join(map(str, config['ppo']['hidden']))}, trained on {', '.join(config['terrain']['families'])} for "
-        f"{run.samples / 1e6:.1f} million samples in {minutes:.0f} minutes, seed {config['seed']}, commit "
+        f"{run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, commit "
         f"{run.record['commit'][:10]}:",
         f"```sh\n{run.record['command']}\n```",
         "## What it solves",

@@ -239,7 +239,7 @@ def _origins(content: dict[str, Any]) -> str:
         at = f"<br>measured by {html.escape(run['difficulty']['commit'])}" if run["difficulty"] else "<br>not measured"
         rows.append(
             f"<tr><td>{_symbol(run['task'])} ({html.escape(run['name'])})<br><span class=small>"
-            f"{run['samples'] / 1e6:.2f} M samples{minutes}</span></td>"
+            f"{run['amount']}{minutes}</span></td>"
             f"<td>{run['seed']}</td><td><span class=small>trained by {html.escape(run['commit'])}{at}</span></td>"
             f"<td><code>{html.escape(run['train_command'])}</code>{measured}</td></tr>"
         )

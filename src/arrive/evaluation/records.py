@@ -8,7 +8,7 @@ from typing import Any
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult
 from arrive.learning.logs import LOG_NAME, read_log
-from arrive.learning.rundir import read_config
+from arrive.learning.rundir import SAMPLES_BEFORE, read_config
 from arrive.terrain import get_family
 
 DIFFICULTY_NAME = "difficulty.json"
@@ -49,6 +49,17 @@ class Run:
         if self.difficulty is not None:
             return int(self.difficulty["policy"]["samples"])
         return int(self.log["progress/samples"][-1]) if self.log.get("progress/samples") else 0
+
+    @property
+    def samples_before(self) -> int:
+        """Policy steps of the runs that it began from; 0 also where its record is too old to say."""
+        return int(self.record.get(SAMPLES_BEFORE, 0))
+
+    @property
+    def amount(self) -> str:
+        """How much it was trained, in words."""
+        before = f" after {self.samples_before / 1e6:.1f} M of the runs before" if self.samples_before else ""
+        return f"{self.samples / 1e6:.2f} M samples{before}"
 
     def results(self) -> dict[str, list[CellResult]]:
         """What was measured, by family; empty where nothing was."""

@@ -53,6 +53,8 @@ def _origin(run: Run) -> dict[str, Any]:
         "terrain": config["terrain"]["families"],
         "preset": config["preset"],
         "samples": run.samples,
+        "samples_before": run.samples_before,
+        "amount": run.amount,
         "training_s": elapsed[-1] if elapsed else None,
         "seed": run.record["seed"],
         "commit": run.record["commit"],

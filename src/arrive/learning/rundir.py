@@ -14,6 +14,8 @@ from arrive.config import Config, from_dict, to_dict
 from arrive.errors import ArriveError
 
 CONFIG_NAME = "config.json"
+SAMPLES_BEFORE = "samples_before"
+"""Key of the policy steps that the runs before had made; absent in records of earlier versions."""
 RUNS = Path("runs")
 
 
@@ -52,13 +54,18 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
     return folder
 
 
-def write_config(folder: Path, config: Config) -> None:
-    """Write the resolved configuration with commit, command and seed, before training starts."""
+def write_config(folder: Path, config: Config, samples_before: int = 0) -> None:
+    """Write the resolved configuration with commit, command and seed, before training starts.
+
+    Args:
+        samples_before: policy steps of the runs that this one begins from.
+    """
     content = {
         "config": to_dict(config),
         "commit": commit(),
         "command": shlex.join(["arrive", *sys.argv[1:]]),
         "seed": config.seed,
+        SAMPLES_BEFORE: samples_before,
     }
     try:
         (folder / CONFIG_NAME).write_text(json.dumps(content, indent=2) + "\n")

@@ -323,10 +323,13 @@ class Trainer:
             )
         return state if self.ranks.leads else state | others[self.ranks.rank - 1]
 
-    def warm_start(self, path: Path) -> None:
+    def warm_start(self, path: Path) -> int:
         """Take networks and optimiser from another run's checkpoint, and the levels of the families that both have.
 
         The action noise is taken where `ppo.warm_std` does not give another one.
+
+        Returns:
+            Policy steps that the other run has made.
         """
         content = self._load_matching(path)
         try:
@@ -337,6 +340,7 @@ class Trainer:
             self.algorithm.get_policy().distribution.log_std_param.data.fill_(math.log(self.config.ppo.warm_std))
         self.env.settle(_reached_levels(content))
         self.look()
+        return content["samples"]
 
     def _load_matching(self, path: Path) -> dict:
         content = load_checked(path)

@@ -23,6 +23,8 @@ def sample_targets(
 ) -> Tensor:
     """Draw a valid target for each robot (paper, section Episode Process).
 
+    A share of the robots, `crossing_share`, get the first candidate that counts as crossing, if there is one.
+
     Args:
         tile_ids: (n,) rasters of the robots' tiles.
         start_w: (n, 3) where the bases are [m].
@@ -38,8 +40,12 @@ def sample_targets(
     offset = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], dim=-1)
     candidates = start_w[:, None, :2] + offset
     valid = _on_valid_ground(rasters, tile_ids, candidates)
-    # The first valid candidate; argmax of a bool row is its first True.
-    chosen = valid.to(torch.uint8).argmax(-1)
+    rank = valid.to(torch.uint8)
+    if config.crossing_share > 0.0:
+        across = torch.rand(shape[:1], generator=generator, device=device) < config.crossing_share
+        rank += valid & across[:, None] & look_up(rasters.crossing, tile_ids, candidates)
+    # The first of the best candidates: argmax of a row is its first maximum.
+    chosen = rank.argmax(-1)
     targets = candidates[torch.arange(len(tile_ids), device=device), chosen]
     none = ~valid.any(-1)
     if none.any():
