@@ -1,11 +1,12 @@
 """Trains a queue of policies in the hours there are, goes on where it stopped, and measures what is done.
 
-    python scripts/campaign.py --minutes 150 --processes 2 --threads 1
+    python scripts/campaign.py --minutes 150 --runs 2 --threads 1
 
-Each run of the queue is a run folder under `policies/`. The first unfinished one that has begun or whose start is
-finished is trained for a slice of time, again and again until the minutes are spent; Ctrl-C ends it after the iteration
-in progress. Several processes of one thread each share a run's robots and make more samples than one process of several
-threads. What has all its samples, or is named by `--also`, is measured by the paper's protocol and exported.
+Each run of the queue is a run folder under `policies/`. The first unfinished ones that have begun or whose start is
+finished are trained for a slice of time, as many beside each other as wished, again and again until the minutes are
+spent; Ctrl-C ends them after the iteration in progress. Runs of one thread beside each other make more samples than one
+run in several processes, and that more than one process of several threads. What has all its samples, or is named by
+`--also`, is measured by the paper's protocol and exported.
 `results/table1.md` then has the paper's Table I beside every policy that was measured.
 """
 
@@ -13,9 +14,11 @@ import json
 import math
 import subprocess
 import sys
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,7 +76,9 @@ class Arguments:
     minutes: float
     """In all, measuring not included [min]."""
     slice: float = 30.0
-    """Training of one run at a time [min]."""
+    """Training of a run at a time [min]."""
+    runs: int = 1
+    """Runs that are trained beside each other."""
     processes: int = 1
     """That train one run together, each with its share of the robots, where the queue does not say; a run goes on with
     as many as it began with."""
@@ -125,10 +130,16 @@ def measured(folder: Path) -> bool:
 class Campaign:
     """The queue and what has become of it."""
 
-    def __init__(self, arguments: Arguments, arrive: Arrive):
-        self._arguments, self._arrive = arguments, arrive
+    def __init__(self, arguments: Arguments, arrive: Arrive, clock: Callable[[], float]):
+        self._arguments, self._arrive, self._clock = arguments, arrive, clock
+        self._began = clock()
+        self._busy: set[str] = set()
+        self._ended = False
+        self._changed = threading.Condition()
         self._entries = read_queue(arguments.queue)
         self._goals = {entry.name: entry.iterations for entry in self._entries}
+        if arguments.runs < 1:
+            raise ArriveError(f"--runs must be at least 1, not {arguments.runs}")
         for name in arguments.also:
             if name not in self._goals:
                 raise unknown_name("run in the queue", name, self._goals)
@@ -144,14 +155,52 @@ class Campaign:
         """Whether a run has all its samples."""
         return trained(self.folder(name))[0] >= self._goals[name]
 
-    def next(self) -> Entry | None:
-        """The first unfinished run that has begun or whose start is finished."""
+    def _next(self) -> Entry | None:
+        """The first unfinished run that is not being trained and has begun or whose start is finished."""
         for entry in self._entries:
             iterations, _ = trained(self.folder(entry.name))
             ready = iterations > 0 or entry.start_from not in self._goals or self.finished(entry.start_from)
-            if ready and iterations < self._goals[entry.name]:
+            if ready and iterations < self._goals[entry.name] and entry.name not in self._busy:
                 return entry
         return None
+
+    def _minutes_left(self) -> float:
+        return self._arguments.minutes - (self._clock() - self._began) / 60.0
+
+    def _take(self) -> Entry | None:
+        """The next run, which is then this thread's; None once there is none, the time is over, or a run was ended."""
+        with self._changed:
+            # What another thread trains now may be the start of the next run.
+            while (entry := self._next()) is None and self._busy and not self._ended:
+                self._changed.wait()
+            if entry is None or self._ended or self._minutes_left() < LEAST_MINUTES:
+                return None
+            self._busy.add(entry.name)
+            return entry
+
+    def _train_slices(self) -> None:
+        """Train one run after the other until there is nothing more to do."""
+        while (entry := self._take()) is not None:
+            complete = False
+            try:
+                done = trained(self.folder(entry.name))[0]
+                print(f"{entry.name}: {done} of {entry.iterations} iterations", flush=True)
+                complete = self.train(entry, min(self._arguments.slice, self._minutes_left()))
+            finally:
+                with self._changed:
+                    self._busy.remove(entry.name)
+                    self._ended |= not complete
+                    self._changed.notify_all()
+
+    def spend(self) -> None:
+        """Train until the minutes are spent, the queue is done, or somebody interrupted a run.
+
+        Each run's process is waited for by a thread of its own, so that Ctrl-C, which reaches the processes too, leaves
+        them the time to end their iteration and write a checkpoint.
+        """
+        with ThreadPoolExecutor(self._arguments.runs) as pool:
+            for worker in [pool.submit(self._train_slices) for _ in range(self._arguments.runs)]:
+                _wait(worker)
 
     def train(self, entry: Entry, minutes: float) -> bool:
         """Train a run for some minutes more.
@@ -228,16 +277,19 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:g}"
 
 
+def _wait(worker: Future) -> None:
+    """Wait for a thread to end, and raise what it raised, whatever Ctrl-C says."""
+    while True:
+        try:
+            return worker.result()
+        except KeyboardInterrupt:
+            print("waiting for the iterations in progress", flush=True)
+
+
 def run(arguments: Arguments, arrive: Arrive, clock: Callable[[], float] = time.monotonic) -> None:
     """Train until the minutes are spent or the queue is done, then measure."""
-    campaign, began = Campaign(arguments, arrive), clock()
-    while (left := arguments.minutes - (clock() - began) / 60.0) >= LEAST_MINUTES:
-        entry = campaign.next()
-        if entry is None:
-            break
-        print(f"{entry.name}: {trained(campaign.folder(entry.name))[0]} of {entry.iterations} iterations", flush=True)
-        if not campaign.train(entry, min(arguments.slice, left)):
-            break
+    campaign = Campaign(arguments, arrive, clock)
+    campaign.spend()
     campaign.measure()
 
 

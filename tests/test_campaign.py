@@ -3,18 +3,24 @@
 import importlib.util
 import json
 import math
+import os
 import shutil
+import signal
+import sys
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
-from subprocess import CompletedProcess
+from subprocess import PIPE, STDOUT, CompletedProcess, Popen
 
 import pytest
+import torch
 
 from arrive.cli import main
 from arrive.errors import ArriveError
 from arrive.evaluation.records import read_run
 from arrive.learning.checkpoint import CHECKPOINT_NAME
-from arrive.learning.logs import LOG_NAME
+from arrive.learning.logs import LOG_NAME, read_log
 
 ROOT = Path(__file__).parent.parent
 SPEC = importlib.util.spec_from_file_location("campaign", ROOT / "scripts" / "campaign.py")
@@ -125,6 +131,86 @@ def test_a_training_that_was_interrupted_ends_the_campaign(tmp_path):
     campaign.run(arguments(tmp_path, 1000.0), interrupted, arrive.clock)
     assert len(arrive.calls) == 1
     assert campaign.trained(tmp_path / "policies" / "all") == (36, 9.0)
+
+
+TWO_AND_A_THIRD = """
+[[run]]
+name = "flat"
+terrain = "flat"
+million_samples = 0.1
+[[run]]
+name = "pit"
+terrain = "pit"
+million_samples = 0.1
+[[run]]
+name = "gap"
+terrain = "gap"
+million_samples = 0.1
+start_from = "pit"
+"""
+
+
+def test_runs_are_trained_beside_each_other_and_wait_for_those_they_start_from(tmp_path):
+    arrive, meeting, one_at_a_time = FakeArrive(), threading.Barrier(2, timeout=20.0), threading.Lock()
+    order = []
+
+    def slow(processes, *arguments) -> None:
+        name = Path(arguments[3]).name if arguments[0] == "train" else ""
+        order.append(name)
+        if name in ("flat", "pit"):
+            meeting.wait()  # breaks unless both are being trained
+        with one_at_a_time:
+            arrive(processes, *arguments)
+
+    campaign.run(replace(arguments(tmp_path, 1000.0, TWO_AND_A_THIRD), runs=2), slow, arrive.clock)
+    assert sorted(order[:2]) == ["flat", "pit"]
+    assert order[2] == "gap"
+    assert {name: campaign.trained(tmp_path / "policies" / name)[0] for name in ("flat", "pit", "gap")} == {
+        "flat": 9,
+        "pit": 9,
+        "gap": 9,
+    }
+
+
+def test_a_training_that_fails_ends_those_beside_it_after_their_slice(tmp_path):
+    arrive, meeting = FakeArrive(), threading.Barrier(2, timeout=20.0)
+
+    def failing(processes, *arguments) -> None:
+        meeting.wait()
+        if Path(arguments[3]).name == "flat":
+            raise ArriveError("no disk")
+        time.sleep(0.5)
+        arrive(processes, *arguments)
+
+    with pytest.raises(ArriveError, match="no disk"):
+        campaign.run(replace(arguments(tmp_path, 1000.0, TWO_AND_A_THIRD), runs=2), failing, arrive.clock)
+    assert campaign.trained(tmp_path / "policies" / "pit")[0] == 9
+    assert not (tmp_path / "policies" / "gap").exists()
+    with pytest.raises(ArriveError, match=r"--runs must be at least 1, not 0"):
+        campaign.run(replace(arguments(tmp_path, 5.0), runs=0), arrive, arrive.clock)
+
+
+def test_an_interrupted_campaign_loses_no_iteration(tmp_path):
+    """Ctrl-C reaches the campaign and the training that it waits for, whose iterations take a second or more."""
+    small = '["ppo.hidden=[8]", "ppo.num_steps=24", "terrain.variants=1", "num_envs=1024"]'
+    queue = tmp_path / "queue.toml"
+    queue.write_text(f'[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nset = {small}\n')
+    options = ("--queue", queue, "--policies", tmp_path, "--table", tmp_path / "table.md", "--minutes", "5")
+    words = [sys.executable, ROOT / "scripts" / "campaign.py", *options]
+    process = Popen(words, stdout=PIPE, stderr=STDOUT, text=True, start_new_session=True)
+    try:
+        log = tmp_path / "a" / LOG_NAME
+        deadline = time.monotonic() + 120.0
+        while time.monotonic() < deadline and not (log.exists() and log.read_text().count("\n") > 2):
+            time.sleep(0.1)
+        os.killpg(process.pid, signal.SIGINT)
+        said, _ = process.communicate(timeout=60.0)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0, said
+    checkpoint = torch.load(tmp_path / "a" / CHECKPOINT_NAME, weights_only=True)
+    assert checkpoint["iteration"] == read_log(tmp_path / "a")["iteration"][-1] > 1
 
 
 def test_an_unfinished_run_is_measured_where_it_is_named(tmp_path):
