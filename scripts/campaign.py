@@ -156,13 +156,21 @@ class Campaign:
         return trained(self.folder(name))[0] >= self._goals[name]
 
     def _next(self) -> Entry | None:
-        """The first unfinished run that is not being trained and has begun or whose start is finished."""
+        """The first unfinished run that is not being trained and has begun or whose start is finished.
+
+        Folders of runs that are being trained are not read: another process writes to them.
+        """
         for entry in self._entries:
+            if entry.name in self._busy:
+                continue
             iterations, _ = trained(self.folder(entry.name))
-            ready = iterations > 0 or entry.start_from not in self._goals or self.finished(entry.start_from)
-            if ready and iterations < self._goals[entry.name] and entry.name not in self._busy:
+            if iterations < self._goals[entry.name] and (iterations > 0 or self._ready(entry.start_from)):
                 return entry
         return None
+
+    def _ready(self, start: str | None) -> bool:
+        """Whether a run can start from here: a folder outside the queue, or a run of it that has all its samples."""
+        return start not in self._goals or (start not in self._busy and self.finished(start))
 
     def _minutes_left(self) -> float:
         return self._arguments.minutes - (self._clock() - self._began) / 60.0
