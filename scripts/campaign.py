@@ -191,8 +191,6 @@ class Campaign:
         while (entry := self._take()) is not None:
             complete = False
             try:
-                done = trained(self.folder(entry.name))[0]
-                print(f"{entry.name}: {done} of {entry.iterations} iterations", flush=True)
                 complete = self.train(entry, min(self._arguments.slice, self._minutes_left()))
             finally:
                 with self._changed:
@@ -218,6 +216,7 @@ class Campaign:
         """
         folder, goal = self.folder(entry.name), self._goals[entry.name]
         iterations, before = trained(folder)
+        print(f"{entry.name}: {iterations} of {goal} iterations", flush=True)
         common = ("--iterations", goal, "--threads", self._arguments.threads, "--minutes", before + minutes)
         processes = self._processes(entry)
         if iterations:

@@ -117,6 +117,17 @@ class TestTargets:
         with pytest.raises(ArriveError, match="no valid target"):
             targets_on(replace(tile_of("flat"), target_valid=nowhere), 2)
 
+    def test_a_share_of_them_is_only_where_it_counts(self):
+        tile = tile_of("obstacles", 0.3)
+        anywhere = crossing_share(tile, 0.0)
+        assert 0.1 < anywhere < 0.6
+        assert crossing_share(tile, 0.5) == pytest.approx((1.0 + anywhere) / 2, abs=0.03)
+        assert crossing_share(tile, 1.0) > 0.995
+
+    def test_where_none_counts_they_are_anywhere(self):
+        tile = tile_of("flat")
+        assert crossing_share(replace(tile, crossing=np.zeros_like(tile.crossing)), 1.0) == 0.0
+
 
 def a_task(tile: Tile, n: int, config: TaskConfig = TASK, **options) -> FinalPositionTask:
     return FinalPositionTask(
@@ -175,17 +186,6 @@ class TestRetargeting:
         assert task.command.target_w[stops, 2].tolist() == pytest.approx([expected] * int(stops.sum()), abs=0.03)
         assert not bool(task.command.counts[stops].any())
         assert float((task.command.target_w - torch.tensor([3.0, 0.0, 1.7]))[~stops].norm(dim=-1).min()) > 0.9
-
-    def test_a_share_of_them_is_only_where_it_counts(self):
-        tile = tile_of("obstacles", 0.3)
-        anywhere = crossing_share(tile, 0.0)
-        assert 0.1 < anywhere < 0.6
-        assert crossing_share(tile, 0.5) == pytest.approx((1.0 + anywhere) / 2, abs=0.03)
-        assert crossing_share(tile, 1.0) > 0.995
-
-    def test_where_none_counts_they_are_anywhere(self):
-        tile = tile_of("flat")
-        assert crossing_share(replace(tile, crossing=np.zeros_like(tile.crossing)), 1.0) == 0.0
 
     def test_targets_stay_on_the_tile(self):
         tile = tile_of("flat")

@@ -17,7 +17,7 @@ from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay
 from arrive.learning.logs import RunLog
 from arrive.learning.ranks import join_ranks
-from arrive.learning.rundir import SAMPLES_BEFORE, new_run_folder, read_config, write_config
+from arrive.learning.rundir import new_run_folder, read_config, samples_before, write_config
 from arrive.learning.trainer import Trainer
 from arrive.physics.device import choose_device, describe_device
 from arrive.recipe import make_config
@@ -56,7 +56,7 @@ def train(command: Train) -> None:
         trainer.load()
     elif command.start_from:
         before = trainer.warm_start(command.start_from / CHECKPOINT_NAME)
-        before += read_config(command.start_from)[1].get(SAMPLES_BEFORE, 0)
+        before += samples_before(read_config(command.start_from)[1])
     if ranks.leads:
         _train_and_show(command, trainer, minutes, iterations, before)
     else:
@@ -65,7 +65,7 @@ def train(command: Train) -> None:
 
 
 def _train_and_show(
-    command: Train, trainer: Trainer, minutes: float | None, iterations: int | None, samples_before: int
+    command: Train, trainer: Trainer, minutes: float | None, iterations: int | None, before: int
 ) -> None:
     """Train with the display, the log and the curves."""
     config, folder = trainer.config, trainer.folder
@@ -73,7 +73,7 @@ def _train_and_show(
     if command.resume:
         log.truncate_after(trainer.iteration)
     else:
-        write_config(folder, config, samples_before)  # last, so that a start that failed leaves the folder free
+        write_config(folder, config, before)  # last, so that a start that failed leaves the folder free
     title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
     with TrainingDisplay(title, folder) as display:
 

@@ -8,7 +8,7 @@ from typing import Any
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult
 from arrive.learning.logs import LOG_NAME, read_log
-from arrive.learning.rundir import SAMPLES_BEFORE, read_config
+from arrive.learning.rundir import read_config, samples_before
 from arrive.terrain import get_family
 
 DIFFICULTY_NAME = "difficulty.json"
@@ -53,7 +53,7 @@ class Run:
     @property
     def samples_before(self) -> int:
         """Policy steps of the runs that it began from; 0 also where its record is too old to say."""
-        return int(self.record.get(SAMPLES_BEFORE, 0))
+        return samples_before(self.record)
 
     @property
     def amount(self) -> str:

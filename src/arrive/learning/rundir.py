@@ -14,8 +14,6 @@ from arrive.config import Config, from_dict, to_dict
 from arrive.errors import ArriveError
 
 CONFIG_NAME = "config.json"
-SAMPLES_BEFORE = "samples_before"
-"""Key of the policy steps that the runs before had made; absent in records of earlier versions."""
 RUNS = Path("runs")
 
 
@@ -65,7 +63,7 @@ def write_config(folder: Path, config: Config, samples_before: int = 0) -> None:
         "commit": commit(),
         "command": shlex.join(["arrive", *sys.argv[1:]]),
         "seed": config.seed,
-        SAMPLES_BEFORE: samples_before,
+        "samples_before": samples_before,
     }
     try:
         (folder / CONFIG_NAME).write_text(json.dumps(content, indent=2) + "\n")
@@ -87,3 +85,8 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
         return from_dict(Config, content["config"]), content
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise ArriveError(f"cannot read {path}: {error!r}") from error
+
+
+def samples_before(record: dict[str, Any]) -> int:
+    """Policy steps of the runs that a run began from; 0 also where its record is too old to say."""
+    return int(record.get("samples_before", 0))
