@@ -172,7 +172,12 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path):
 @pytest.mark.parametrize("split", [1, 4])
 def test_every_part_of_the_state_is_restored(tmp_path, split):
     """As above without the command line, on terrain where levels move and with everything switched on."""
-    settings = ("ppo.symmetry=true", "task.bootstrap_timeouts=true", "task.arrival_radius=2.5")
+    settings = (
+        "ppo.symmetry=true",
+        "task.bootstrap_timeouts=true",
+        "task.arrival_radius=2.5",
+        "ppo.averaged_iterations=3",
+    )
     terrain = '["flat", "stairs", "rough"]'
     whole = make_trainer(tmp_path / "whole", *settings, terrain=terrain)
     start_levels = whole.env.curriculum.levels.clone()
@@ -339,6 +344,55 @@ def test_the_logarithm_of_the_action_noise_is_learnt(tmp_path):
     policy = torch.load(tmp_path / "run" / "policy.pt", weights_only=True)
     assert torch.equal(policy["actor"]["distribution.log_std_param"], parameter.detach())
     assert (parameter.detach().exp() - 0.5).abs().min() > 1e-6
+
+
+def actor_weights(trainer: Trainer) -> dict[str, Tensor]:
+    return {name: value.clone() for name, value in trainer.algorithm.actor.state_dict().items()}
+
+
+def saved_actor(trainer: Trainer) -> dict[str, Tensor]:
+    trainer.save()
+    return torch.load(trainer.folder / "policy.pt", weights_only=True)["actor"]
+
+
+def test_the_policy_is_the_mean_of_the_last_networks(tmp_path):
+    """A mean of two at first; from then on the newest network has a share of one in two."""
+    trainer = make_trainer(tmp_path / "run", "ppo.averaged_iterations=2")
+    assert differing(saved_actor(trainer), actor_weights(trainer)) == []
+    networks = []
+    for _ in range(3):
+        trainer.iterate(lambda report: None)
+        networks.append(actor_weights(trainer))
+    first, second, third = networks
+    for name, mean in saved_actor(trainer).items():
+        torch.testing.assert_close(mean, first[name] / 4 + second[name] / 4 + third[name] / 2)
+    assert differing(trainer.algorithm.save()["actor_state_dict"], third) == [], "learning goes on from the mean"
+
+
+def test_without_averaging_the_policy_is_the_last_network(tmp_path):
+    trainer = make_trainer(tmp_path / "run")
+    run(trainer, 3)
+    assert differing(saved_actor(trainer), actor_weights(trainer)) == []
+
+
+def test_a_warm_start_averages_nothing_of_the_other_run(tmp_path):
+    train("flat", tmp_path / "first", 2, "ppo.averaged_iterations=5")
+    trainer = make_trainer(tmp_path / "second", "ppo.averaged_iterations=5")
+    trainer.warm_start(tmp_path / "first" / "checkpoint.pt")
+    assert differing(saved_actor(trainer), saved_state(tmp_path / "first")["algorithm"]["actor_state_dict"]) == []
+    trainer.iterate(lambda report: None)
+    assert differing(saved_actor(trainer), actor_weights(trainer)) == []
+
+
+def test_a_checkpoint_from_before_averages_were_kept_is_resumed(tmp_path):
+    trainer = make_trainer(tmp_path / "run")
+    run(trainer, 2)
+    content = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
+    del content["state"]["average"], content["config"]["ppo"]["averaged_iterations"]
+    torch.save(content, tmp_path / "run" / "checkpoint.pt")
+    again = make_trainer(tmp_path / "run")
+    again.load()
+    assert differing(saved_actor(again), actor_weights(trainer)) == []
 
 
 def test_a_run_can_start_from_the_networks_of_another(tmp_path):

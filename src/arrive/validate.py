@@ -51,7 +51,16 @@ def _positive(config: Config) -> Iterator[tuple[str, object, str, bool]]:
         "terrain": ("levels", "variants"),
         "observation": ("height_scale", "grid_step", "grid_length", "grid_width"),
         "task": ("episode_s", "episode_min_s", "reward_window_s", "arrival_radius", "approach_speed"),
-        "ppo": ("num_steps", "epochs", "mini_batches", "learning_rate", "init_std", "clip", "max_grad_norm"),
+        "ppo": (
+            "num_steps",
+            "epochs",
+            "mini_batches",
+            "averaged_iterations",
+            "learning_rate",
+            "init_std",
+            "clip",
+            "max_grad_norm",
+        ),
     }
     for part, names in fields.items():
         section = getattr(config, part) if part else config

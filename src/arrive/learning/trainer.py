@@ -13,6 +13,7 @@ from tensordict import TensorDict
 from arrive.config import Config, from_dict, to_dict
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
+from arrive.learning.average import WeightAverage
 from arrive.learning.checkpoint import (
     CHECKPOINT_NAME,
     FORMAT,
@@ -56,6 +57,7 @@ class Trainer:
         self.config, self.env, self.folder, self.ranks = config, env, folder, ranks
         self._observations = env.get_observations()
         self.algorithm = make_ppo(config.ppo, env, self._observations, ranks)
+        self._average = WeightAverage(self.algorithm.get_policy(), config.ppo.averaged_iterations)
         if not ranks.leads:
             torch.manual_seed(config.seed + ranks.seed_offset)
         self._statistics = TrainingStatistics(env)
@@ -116,6 +118,7 @@ class Trainer:
             self._recover(error)
             return None
         seconds = time.monotonic() - start
+        self._average.take()
         self.iteration += 1
         self.samples += self._batch
         self.elapsed_s += seconds
@@ -238,6 +241,7 @@ class Trainer:
                 "samples": self.samples,
                 "elapsed_s": self.elapsed_s,
                 "algorithm": self.algorithm.save(),
+                "average": self._average.state_dict(),
                 "device": self.env.device.type,
                 "env": self.env.state_dict(),
                 "observations": self._observations[POLICY],
@@ -250,6 +254,10 @@ class Trainer:
     def _restore(self, state: dict) -> None:
         self.iteration, self.samples, self.elapsed_s = state["iteration"], state["samples"], state["elapsed_s"]
         self.algorithm.load(copy.deepcopy(state["algorithm"]), None, True)
+        if "average" in state:
+            self._average.load_state_dict(state["average"])
+        else:  # a checkpoint from before averages were kept
+            self._average.restart()
         self.env.load_state_dict(state["env"])
         observations = state["observations"].to(self.env.device, copy=True)
         self._observations = TensorDict({POLICY: observations}, batch_size=[self.env.num_envs])
@@ -282,8 +290,7 @@ class Trainer:
             return
         description = self._description()
         save_atomically(description | {"state": self._good | {"others": others}}, self.folder / CHECKPOINT_NAME)
-        actor = self._good["algorithm"]["actor_state_dict"]
-        save_atomically(description | {"actor": actor}, self.folder / POLICY_NAME)
+        save_atomically(description | {"actor": self._average.weights()}, self.folder / POLICY_NAME)
 
     def load(self) -> None:
         """Go on exactly where the folder's checkpoint stands.
@@ -326,7 +333,7 @@ class Trainer:
     def warm_start(self, path: Path) -> int:
         """Take networks and optimiser from another run's checkpoint, and the levels of the families that both have.
 
-        The action noise is taken where `ppo.warm_std` does not give another one.
+        The networks are its last ones, not their mean; the action noise too, where `ppo.warm_std` gives no other.
 
         Returns:
             Policy steps that the other run has made.
@@ -338,6 +345,7 @@ class Trainer:
             raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
         if self.config.ppo.warm_std > 0.0:
             self.algorithm.get_policy().distribution.log_std_param.data.fill_(math.log(self.config.ppo.warm_std))
+        self._average.restart()
         self.env.settle(_reached_levels(content))
         self.look()
         return content["samples"]

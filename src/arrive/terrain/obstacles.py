@@ -20,15 +20,18 @@ STANDING_RADIUS = 0.5
 MAX_PILLARS = 34
 """Pillars of a tile where that many find room."""
 MAX_DARTS = 400
-"""Places tried for a pillar; the widest ones find room for about half of `MAX_PILLARS`."""
+"""Places tried for a pillar; the widest ones find room for about a third of `MAX_PILLARS`."""
 ROBOT_HALF_WIDTH = 0.3
 """A robot on a straight way touches the pillars that are nearer to it than this [m]."""
 SHADOW_ANGLES = 720
 """Directions from the start in which pillars are looked for: at most 5 cm apart within the targets' distance."""
-TRAINING_HALF = 6.0
-"""Pillars have their centres in the square of this half edge in training [m]."""
+TRAINING_HALF = 4.5
+"""Pillars have their centres in the square of this half edge in training [m], small enough that `MAX_PILLARS` narrow
+ones stand as close together as in evaluation."""
 EVALUATION_X = (1.2, 4.4)
 """The pillars of the evaluation layout lie in this range of x [m], which leaves room around the start and target."""
+EVALUATION_HALF_Y = 6.0
+"""Their centres lie within this of the straight line [m]: too far for a way around all of them."""
 
 
 def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
@@ -41,8 +44,8 @@ def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
         low, high = np.full(2, -TRAINING_HALF), np.full(2, TRAINING_HALF)
         first = []
     else:
-        low = np.array([EVALUATION_X[0] + side / 2, -TRAINING_HALF])
-        high = np.array([EVALUATION_X[1] - side / 2, TRAINING_HALF])
+        low = np.array([EVALUATION_X[0] + side / 2, -EVALUATION_HALF_Y])
+        high = np.array([EVALUATION_X[1] - side / 2, EVALUATION_HALF_Y])
         first = [rng.uniform((max(low[0], 2.2), -0.1), (min(high[0], 3.4), 0.1))]
     centers = _throw_darts(first, low, high, side, rng)
     half = side / 2
