@@ -1,4 +1,4 @@
-"""The mean of the last networks: training's single snapshots walk far better or worse than their neighbours."""
+"""The mean of the last networks, to be saved as the policy in place of the very last one."""
 
 import torch
 from torch import Tensor, nn
@@ -18,7 +18,7 @@ class WeightAverage:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the past: the mean is the network as it is, until the first iteration takes its place."""
+        """Forget the past: the mean is the network as it is, and the first iteration after it takes its place."""
         self._average = AveragedModel(self._network, multi_avg_fn=self._blend)
 
     def take(self) -> None:

@@ -52,18 +52,18 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
     return folder
 
 
-def write_config(folder: Path, config: Config, samples_before: int = 0) -> None:
+def write_config(folder: Path, config: Config, before: int = 0) -> None:
     """Write the resolved configuration with commit, command and seed, before training starts.
 
     Args:
-        samples_before: policy steps of the runs that this one begins from.
+        before: policy steps of the runs that this one begins from.
     """
     content = {
         "config": to_dict(config),
         "commit": commit(),
         "command": shlex.join(["arrive", *sys.argv[1:]]),
         "seed": config.seed,
-        "samples_before": samples_before,
+        "samples_before": before,
     }
     try:
         (folder / CONFIG_NAME).write_text(json.dumps(content, indent=2) + "\n")

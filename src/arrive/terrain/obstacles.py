@@ -27,7 +27,7 @@ SHADOW_ANGLES = 720
 """Directions from the start in which pillars are looked for: at most 5 cm apart within the targets' distance."""
 TRAINING_HALF = 4.5
 """Pillars have their centres in the square of this half edge in training [m], small enough that `MAX_PILLARS` narrow
-ones stand as close together as in evaluation."""
+ones stand nearly as close together as in evaluation."""
 EVALUATION_X = (1.2, 4.4)
 """The pillars of the evaluation layout lie in this range of x [m], which leaves room around the start and target."""
 EVALUATION_HALF_Y = 6.0
