@@ -166,10 +166,22 @@ def test_short_step_cost_is_what_the_time_in_the_air_of_landing_feet_lacks_of_ha
     assert value_of("short_step_cost", a_state(foot_landed_s=landed), a_command()) == pytest.approx(0.4)
 
 
+def test_misstep_cost_adds_up_to_how_deep_feet_sank_below_the_edges_of_a_hole():
+    below, above = (0.0, 0.0, -0.11), (0.0, 0.0, -0.09)
+    state = a_state(
+        foot_pos_w=(below, above, below, below),
+        foot_vel_w=((3.0, 0.0, -0.5), (0.0, 0.0, -1.0), (0.0, 0.0, 2.0), (0.0, 1.0, -0.25)),
+        rim_height=-0.1,
+    )
+    assert value_of("misstep_cost", state, a_command()) == pytest.approx(0.75)
+    state.rim_height[:] = -torch.inf  # no hole anywhere
+    assert value_of("misstep_cost", state, a_command()) == 0.0
+
+
 def test_no_term_is_without_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
-    tested |= {"short_step_cost", "pace", "pose_cost"}
+    tested |= {"short_step_cost", "pace", "pose_cost", "misstep_cost"}
     assert set(REWARDS) == tested | {"action_rate_cost", "foot_acc_cost", "approach", "stand", "tilt_cost"}
     assert all(getattr(rewards, name) is function for name, function in REWARDS.items())
 

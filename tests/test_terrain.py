@@ -140,6 +140,7 @@ class TestParameterIsPhysical:
         assert ahead.sum() * RASTER_CELL == pytest.approx(FAMILIES["gap"].value(level, 10), abs=RASTER_CELL)
         assert not tile.target_valid[tile.heights < -1.0].any()
         assert not tile.crossing[tile.heights < -1.0].any()
+        assert tile.fall_height < tile.rim_height <= 0.0
 
     def test_pit_is_as_deep(self, layout, level):
         tile = tile_at("pit", layout, level)

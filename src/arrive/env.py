@@ -262,6 +262,7 @@ class ArriveEnv(VecEnv):
             joint_vel=readings.joint_vel,
             joint_acc=(readings.joint_vel - buffers["joint_vel"]) / self.control_dt,
             joint_torque=readings.joint_torque,
+            foot_pos_w=readings.foot_pos_w,
             foot_vel_w=readings.foot_vel_w,
             foot_acc_w=(readings.foot_vel_w - buffers["foot_vel"]) * (moving / self.control_dt)[:, None, None],
             foot_landed_s=landed_s,
@@ -272,6 +273,7 @@ class ArriveEnv(VecEnv):
             foot_contacts=readings.foot_contacts,
             heights_w=grid_heights(rasters.heights, tiles, self._grid, readings.base_pos_w, yaw_of(quat)),
             fall_height=rasters.fall_height[tiles],
+            rim_height=rasters.rim_height[tiles],
         )
 
     def _terminate(self, state: State) -> tuple[Outcome, Tensor]:

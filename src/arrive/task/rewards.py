@@ -154,6 +154,16 @@ def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     return state.joint_offset.square().sum(-1)
 
 
+def misstep_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+    """Sum over the feet in a hole of the speed at which they sink, (n,) [m/s]. Not in the paper.
+
+    Its integral is how deep they sank. Staying there or climbing out costs nothing, so that a robot whose foot is caught
+    does not gain by crashing.
+    """
+    in_hole = state.foot_pos_w[..., 2] < state.rim_height.unsqueeze(-1)
+    return (in_hole * (-state.foot_vel_w[..., 2]).clamp(min=0.0)).sum(-1)
+
+
 RewardFunction = Callable[[State, Any, TaskConfig], Tensor]
 """Of the state, the task's own command, and the configuration."""
 
@@ -165,6 +175,7 @@ MOTION_COSTS: dict[str, RewardFunction] = {
     "foot_acc_cost": foot_acc_cost,
     "tilt_cost": tilt_cost,
     "pose_cost": pose_cost,
+    "misstep_cost": misstep_cost,
 }
 """Costs of moving, whatever the command; every task has them."""
 

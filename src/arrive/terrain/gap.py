@@ -15,6 +15,8 @@ BOTTOM = -2.0
 """Height of the gap's bottom [m]."""
 FALL_HEIGHT = -0.5
 """A base this far below the edges cannot come back [m]."""
+RIM_HEIGHT = 0.0
+"""The middle of a foot this low is below the edges [m]."""
 EDGE_MARGIN = 0.35
 """Targets nearer to the gap than this are invalid [m]: a robot standing there would have feet over the hole."""
 
@@ -33,7 +35,8 @@ def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
         near, beyond = ~beyond_x(EVALUATION_GAP_X), beyond_x(far_edge)
     hole = ~near & ~beyond
     palette = [ABYSS, START] + [LIGHT] * (len(boxes) - 2)
-    return assemble(boxes, palette, ~dilate(hole, EDGE_MARGIN), beyond, fall_height=FALL_HEIGHT)
+    valid = ~dilate(hole, EDGE_MARGIN)
+    return assemble(boxes, palette, valid, beyond, fall_height=FALL_HEIGHT, rim_height=RIM_HEIGHT)
 
 
 GAP = Family("gap", "a gap to leap over", "width", "m", 0.1, 1.4, build, random=False)
