@@ -157,8 +157,8 @@ def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
 def misstep_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Sum over the feet in a hole of the speed at which they sink, (n,) [m/s]. Not in the paper.
 
-    Its integral is how deep they sank. Staying there or climbing out costs nothing, so that a robot whose foot is caught
-    does not gain by crashing.
+    Its integral is how deep they sank. Staying there or climbing out costs nothing, so that a robot whose foot is
+    caught does not gain by crashing.
     """
     in_hole = state.foot_pos_w[..., 2] < state.rim_height.unsqueeze(-1)
     return (in_hole * (-state.foot_vel_w[..., 2]).clamp(min=0.0)).sum(-1)
