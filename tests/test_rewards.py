@@ -107,6 +107,9 @@ def test_stalling_is_waiting_slower_than_10_cm_per_s_farther_away_than_half_a_me
         ("tilt_cost", {"gravity_b": (0.6, 0.0, -0.8)}, 0.36),
         ("tilt_cost", {"gravity_b": (0.0, 1.0, 0.0)}, 1.0),
         ("pose_cost", {"joint_offset": (0.5, -1.0, 0.0)}, 1.25),
+        ("clearance_cost", {"clearance": 0.31}, 0.0),
+        ("clearance_cost", {"clearance": 0.12}, 0.18),
+        ("clearance_cost", {"clearance": torch.inf}, 0.0),
     ],
 )
 def test_penalties(name, fields_, expected):
@@ -181,7 +184,7 @@ def test_misstep_cost_adds_up_to_how_deep_feet_sank_below_the_edges_of_a_hole():
 def test_no_term_is_without_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
-    tested |= {"short_step_cost", "pace", "pose_cost", "misstep_cost"}
+    tested |= {"short_step_cost", "pace", "pose_cost", "clearance_cost", "misstep_cost"}
     assert set(REWARDS) == tested | {"action_rate_cost", "foot_acc_cost", "approach", "stand", "tilt_cost"}
     assert all(getattr(rewards, name) is function for name, function in REWARDS.items())
 

@@ -255,6 +255,18 @@ def test_collision_shapes_meet_the_terrain_and_not_the_robot(robot_model):
     assert with_geoms == {*ROBOT.crash_bodies, *ROBOT.collision_bodies, *ROBOT.foot_bodies}
 
 
+def test_the_trunk_is_as_long_and_wide_as_what_crashes(robot_model):
+    reach = np.zeros(2)
+    for body in ROBOT.crash_bodies:
+        for geom in np.flatnonzero(robot_model.geom_bodyid == robot_model.body(body).id):
+            center, half = robot_model.geom_aabb[geom].reshape(2, 3)
+            rotation = np.zeros(9)
+            mujoco.mju_quat2Mat(rotation, robot_model.geom_quat[geom])
+            middle = robot_model.geom_pos[geom] + rotation.reshape(3, 3) @ center
+            reach = np.maximum(reach, (np.abs(middle) + np.abs(rotation.reshape(3, 3)) @ half)[:2])
+    np.testing.assert_allclose(2 * reach, ROBOT.trunk, atol=1e-6)
+
+
 def test_visuals_change_nothing_but_the_picture(robot_model):
     model = ROBOT.build_spec(True).compile()
     seen = model.geom_group == 2

@@ -13,7 +13,7 @@ from arrive.physics.engine import Physics, Readings
 from arrive.robots.robot import Robot
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
 from arrive.task.feet import follow_feet
-from arrive.task.heights import HeightGrid, grid_heights
+from arrive.task.heights import HeightGrid, grid_heights, trunk_clearance
 from arrive.task.observations import Observer
 from arrive.task.rewards import CRASH_COST, EXPLORATION_REWARDS
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
@@ -91,6 +91,8 @@ class ArriveEnv(VecEnv):
         """Whether to take down the last observation of every episode, which costs a second look at all robots."""
         self._terms = _weighted_terms(task, config.task.rewards)
         self._grid = HeightGrid(config.observation).points.to(self.device)
+        half_trunk = torch.tensor(robot.trunk, device=self.device) / 2
+        self._below_trunk = (self._grid.abs() <= half_trunk).all(-1).nonzero().squeeze(-1)
         sensing = config.observation
         self.observer = Observer(task.observation_terms(robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
@@ -250,13 +252,16 @@ class ArriveEnv(VecEnv):
         rasters, tiles = self.pool.rasters, buffers["tile"]
         touches = readings.foot_contacts > 0
         _, landed_s = follow_feet(buffers["foot_air_s"], buffers["foot_touched"], touches, self.control_dt)
+        heights_w = grid_heights(rasters.heights, tiles, self._grid, readings.base_pos_w, yaw_of(quat))
+        gravity_b = rotate_inverse(quat, self._down[: len(quat)])
+        below = self._below_trunk
         return State(
             base_pos_w=readings.base_pos_w,
             base_quat_w=quat,
             base_lin_vel_w=readings.base_lin_vel_w,
             base_lin_vel_b=rotate_inverse(quat, readings.base_lin_vel_w),
             base_ang_vel_b=readings.base_ang_vel_b,
-            gravity_b=rotate_inverse(quat, self._down[: len(quat)]),
+            gravity_b=gravity_b,
             joint_pos=readings.joint_pos,
             joint_offset=readings.joint_pos - self._default_joint_pos,
             joint_vel=readings.joint_vel,
@@ -271,7 +276,8 @@ class ArriveEnv(VecEnv):
             crash_contacts=readings.crash_contacts,
             collision_contacts=readings.collision_contacts,
             foot_contacts=readings.foot_contacts,
-            heights_w=grid_heights(rasters.heights, tiles, self._grid, readings.base_pos_w, yaw_of(quat)),
+            heights_w=heights_w,
+            clearance=trunk_clearance(self._grid[below], heights_w[:, below], readings.base_pos_w[:, 2], gravity_b),
             fall_height=rasters.fall_height[tiles],
             rim_height=rasters.rim_height[tiles],
         )

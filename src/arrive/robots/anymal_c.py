@@ -137,9 +137,13 @@ def _add_leg(base: mujoco.MjsBody, leg: Leg) -> list[mujoco.MjsBody]:
     return [hip, thigh, shank, foot]
 
 
+TRUNK_HALF = (0.5245, 0.16)
+"""Half the length and half the width of the base's collision shapes [m]."""
+
+
 def _add_base_collision(base: mujoco.MjsBody) -> None:
     """A box and a capsule on either side: the description's boxes and cylinders of trunk and faces, end to end."""
-    _collide(base, mujoco.mjtGeom.mjGEOM_BOX, size=[0.5245, 0.07, 0.09])
+    _collide(base, mujoco.mjtGeom.mjGEOM_BOX, size=[TRUNK_HALF[0], 0.07, 0.09])
     for y in (0.07, -0.07):
         _collide_capsule(base, (-0.4345, y, 0.0), (0.4345, y, 0.0), 0.09)
 
@@ -211,5 +215,6 @@ ANYMAL_C = Robot(
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("THIGH", "SHANK")),
     crash_bodies=("base",),
+    trunk=(2 * TRUNK_HALF[0], 2 * TRUNK_HALF[1]),
     joint_mirror=joint_mirror(JOINT_NAMES),
 )

@@ -28,6 +28,23 @@ class HeightGrid:
         return [i - i % count_y + count_y - 1 - i % count_y for i in range(len(self.points))]
 
 
+def trunk_clearance(points: Tensor, heights_w: Tensor, base_height: Tensor, gravity_b: Tensor) -> Tensor:
+    """The least height of a trunk's middle plane above the ground below it, to first order in its tilt.
+
+    Args:
+        points: (k, 2) grid points below the trunk, in the heading frame [m].
+        heights_w: (n, k) ground at them [m].
+        base_height: (n,) of the trunk's middle [m].
+        gravity_b: (n, 3) unit vector of gravity in the base frame.
+
+    Returns:
+        (n,) [m], infinite where k is 0.
+    """
+    if not len(points):
+        return torch.full_like(base_height, torch.inf)
+    return (base_height.unsqueeze(-1) - gravity_b[:, :2] @ points.T - heights_w).amin(-1)
+
+
 def _symmetric_range(extent: float, step: float) -> Tensor:
     count = round(extent / step)
     return (torch.arange(count + 1) - count / 2) * step

@@ -20,6 +20,8 @@ PACES = (0.3, 1.5)
 """Slowest and fastest speed that the `pace` reward asks for [m/s]."""
 LEAST_TIME_S = 0.2
 """Less remaining time than this is taken for this much [s]."""
+CLEARANCE = 0.3
+"""Height of the trunk's middle above the ground below which it may soon hit it [m]; ANYmal stands at 0.55."""
 AIR_TIME_S = 0.5
 """How long a foot should be in the air in one step (legged_gym) [s]."""
 
@@ -154,6 +156,11 @@ def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     return state.joint_offset.square().sum(-1)
 
 
+def clearance_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+    """How much less than 0.3 m the trunk's middle is above the ground below it, (n,) [m]. Not in the paper."""
+    return (CLEARANCE - state.clearance).clamp(min=0.0)
+
+
 def misstep_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Sum over the feet in a hole of the speed at which they sink, (n,) [m/s]. Not in the paper.
 
@@ -175,6 +182,7 @@ MOTION_COSTS: dict[str, RewardFunction] = {
     "foot_acc_cost": foot_acc_cost,
     "tilt_cost": tilt_cost,
     "pose_cost": pose_cost,
+    "clearance_cost": clearance_cost,
     "misstep_cost": misstep_cost,
 }
 """Costs of moving, whatever the command; every task has them."""

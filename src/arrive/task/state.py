@@ -54,6 +54,8 @@ class State:
     """(n, feet) contacts of each foot."""
     heights_w: Tensor
     """(n, points) ground height under each point of the yaw-aligned grid around the base [m]."""
+    clearance: Tensor
+    """(n,) the least height of the trunk's middle plane above the grid points below it; infinite where none is [m]."""
     fall_height: Tensor
     """(n,) a base lower than this has fallen into a hole [m]."""
     rim_height: Tensor
