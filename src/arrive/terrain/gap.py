@@ -8,7 +8,11 @@ from arrive.terrain.shapes import ABYSS, GROUND_HALF, LIGHT, START, WHOLE, block
 from arrive.terrain.tile import Tile
 
 PLATFORM_HALF = 1.2
-"""Half the edge of the platform that the ring gap surrounds in training [m]."""
+"""Half the edge of the platform that the first ring gap surrounds in training [m]."""
+PLATEAU = 1.3
+"""Ground between ring gaps [m]: a 1.1 m long robot can stand on it."""
+LAST_EDGE = 3.8
+"""Further rings end here at the latest [m], so that most targets lie beyond all of them."""
 EVALUATION_GAP_X = 1.5
 """x of the gap's near edge in the evaluation layout [m]."""
 BOTTOM = -2.0
@@ -18,25 +22,39 @@ FALL_HEIGHT = -0.5
 RIM_HEIGHT = 0.0
 """The middle of a foot this low is below the edges [m]."""
 EDGE_MARGIN = 0.35
-"""Targets nearer to the gap than this are invalid [m]: a robot standing there would have feet over the hole."""
+"""Targets nearer to a gap than this are invalid [m]: a robot standing there would have feet over the hole."""
 
 
 def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
-    """A gap around the platform (training) or across the way (evaluation); crossing means being beyond it."""
+    """Gaps around the platform (training) or one across the way (evaluation); crossing means being beyond the first.
+
+    Crossing takes half a second of an episode: where a second ring fits, training sees twice as much of it.
+    """
     bottom = square(GROUND_HALF, BOTTOM)
     if layout == "training":
-        far_edge = PLATFORM_HALF + width
-        boxes = [bottom, square(PLATFORM_HALF, 0.0), *frame(far_edge, GROUND_HALF, 0.0)]
-        near, beyond = inside_square(PLATFORM_HALF), ~inside_square(far_edge)
+        edges = _ring_edges(width)
+        boxes, hole = [bottom, square(PLATFORM_HALF, 0.0)], np.zeros_like(inside_square(PLATFORM_HALF))
+        for near, far, following in zip(edges[::2], edges[1::2], (*edges[2::2], GROUND_HALF), strict=True):
+            boxes += frame(far, following, 0.0)
+            hole |= inside_square(far) & ~inside_square(near)
+        beyond = ~inside_square(edges[1]) & ~hole
     else:
         far_edge = EVALUATION_GAP_X + width
         near_side, far_side = (-GROUND_HALF, EVALUATION_GAP_X), (far_edge, GROUND_HALF)
         boxes = [bottom, block(near_side, WHOLE, 0.0), block(far_side, WHOLE, 0.0)]
-        near, beyond = ~beyond_x(EVALUATION_GAP_X), beyond_x(far_edge)
-    hole = ~near & ~beyond
+        beyond = beyond_x(far_edge)
+        hole = beyond_x(EVALUATION_GAP_X) & ~beyond
     palette = [ABYSS, START] + [LIGHT] * (len(boxes) - 2)
     valid = ~dilate(hole, EDGE_MARGIN)
     return assemble(boxes, palette, valid, beyond, fall_height=FALL_HEIGHT, rim_height=RIM_HEIGHT)
+
+
+def _ring_edges(width: float) -> list[float]:
+    """Distances of the near and far edges of the training layout's gaps from its middle, nearest first [m]."""
+    edges = [PLATFORM_HALF, PLATFORM_HALF + width]
+    while edges[-1] + PLATEAU + width <= LAST_EDGE:
+        edges += [edges[-1] + PLATEAU, edges[-1] + PLATEAU + width]
+    return edges
 
 
 GAP = Family("gap", "a gap to leap over", "width", "m", 0.1, 1.4, build, random=False)
