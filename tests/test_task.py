@@ -325,6 +325,19 @@ class TestLevels:
         assert levels_after(3, 10, ended=False, promote=True).tolist() == [3]
         assert levels_after(3, 10, ended=False, demote=True).tolist() == [3]
 
+    def test_fall_after_the_wished_share_of_the_failures_and_settle_where_that_leads(self):
+        """With a quarter of them, where one episode in five succeeds; of level 8, (10 - level) / 10 succeed."""
+        n, rng = 4000, torch.Generator().manual_seed(1)
+        curriculum = LevelCurriculum(torch.full((n,), 20), 0, torch.Generator().manual_seed(0))
+        curriculum.levels[:] = 8
+        everyone, nobody = torch.ones(n, dtype=torch.bool), torch.zeros(n, dtype=torch.bool)
+        curriculum.update(everyone, nobody, everyone, demotion_share=0.25)
+        assert float((curriculum.levels == 7).float().mean()) == pytest.approx(0.25, abs=0.035)
+        for _ in range(100):
+            success = torch.rand(n, generator=rng) < (10 - curriculum.levels) / 10
+            curriculum.update(everyone, success, ~success, demotion_share=0.25)
+        assert float(curriculum.levels.float().mean()) == pytest.approx(8.0, abs=0.3)
+
     def test_do_not_fall_below_the_first(self):
         assert levels_after(0, 10, demote=True).tolist() == [0]
 

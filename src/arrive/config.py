@@ -101,6 +101,8 @@ class TaskConfig:
     """Speed towards the target at which the `approach` reward saturates [m/s]."""
     demotion: Literal["any", "far"] = "any"
     """Which failures lower the level: `any`, or `far` (crash, fall, or more than half of the way left)."""
+    demotion_share: float = 1.0
+    """Share of those failures that do: with q the levels settle where q / (1 + q) of the episodes succeed."""
     bootstrap_timeouts: bool = False
     """Whether the value at a time-out is bootstrapped as if the episode went on; the paper argues against it."""
 

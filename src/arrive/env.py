@@ -325,7 +325,8 @@ class ArriveEnv(VecEnv):
             observation=self._observe()[ids] if self.final_observations else None,
         )
         if self._learning:
-            self.curriculum.update(self._ended & self._counted, outcome.promote, outcome.demote)
+            counted, share = self._ended & self._counted, self.config.task.demotion_share
+            self.curriculum.update(counted, outcome.promote, outcome.demote, share)
 
     def _restart(self) -> None:
         ids = self._ended.nonzero().squeeze(-1)

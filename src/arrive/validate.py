@@ -36,7 +36,7 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     yield "terrain.review", terrain.review, "at least 0 and less than 1", 0.0 <= terrain.review < 1.0
     yield "task.episode_min_s", task.episode_min_s, "at most task.episode_s", task.episode_min_s <= task.episode_s
     yield "task.retarget_s", task.retarget_s, "0 or more and finite", 0.0 <= task.retarget_s < math.inf
-    for name in ("stop_share", "crossing_share"):
+    for name in ("stop_share", "crossing_share", "demotion_share"):
         yield f"task.{name}", getattr(task, name), "between 0 and 1", 0.0 <= getattr(task, name) <= 1.0
     yield "seed", config.seed, "0 or more", config.seed >= 0
     for name in ("friction", "payload_kg"):

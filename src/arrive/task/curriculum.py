@@ -25,9 +25,11 @@ class LevelCurriculum:
         self._generator = generator
         self.levels = (self._draw(num_levels.clamp(max=start_level + 1))).long()
 
+    def _uniform(self, like: Tensor) -> Tensor:
+        return torch.rand(like.shape, generator=self._generator, device=like.device)
+
     def _draw(self, below: Tensor) -> Tensor:
-        uniform = torch.rand(below.shape, generator=self._generator, device=below.device)
-        return (uniform * below).floor()
+        return (self._uniform(below) * below).floor()
 
     def deal(self, env_ids: Tensor, review: float) -> Tensor:
         """Levels for the next episodes of some robots: their own, or a random easier one.
@@ -42,15 +44,18 @@ class LevelCurriculum:
         own = self.levels[env_ids]
         if review <= 0.0:
             return own
-        reviews = torch.rand(own.shape, generator=self._generator, device=own.device) < review
+        reviews = self._uniform(own) < review
         return torch.where(reviews, self._draw(own).long(), own)
 
-    def update(self, ended: Tensor, promote: Tensor, demote: Tensor) -> None:
+    def update(self, ended: Tensor, promote: Tensor, demote: Tensor, demotion_share: float = 1.0) -> None:
         """Move the robots whose episode ended; who solves the last level goes on at a random one (legged_gym).
 
         Args:
             ended, promote, demote: (num_envs,) bool.
+            demotion_share: share of those to be demoted that are.
         """
+        if demotion_share < 1.0:
+            demote = demote & (self._uniform(self.levels) < demotion_share)
         moved = self.levels + (ended & promote).long() - (ended & demote).long()
         beyond = moved >= self._num_levels
         anywhere = self._draw(self._num_levels).long()
