@@ -50,7 +50,14 @@ def _positive(config: Config) -> Iterator[tuple[str, object, str, bool]]:
         "physics": ("timestep_s", "decimation", "solver_iterations", "line_search_iterations", "impratio"),
         "terrain": ("levels", "variants"),
         "observation": ("height_scale", "grid_step", "grid_length", "grid_width"),
-        "task": ("episode_s", "episode_min_s", "reward_window_s", "arrival_radius", "approach_speed"),
+        "task": (
+            "episode_s",
+            "episode_min_s",
+            "reward_window_s",
+            "arrival_radius",
+            "approach_speed",
+            "approach_radius",
+        ),
         "ppo": (
             "num_steps",
             "epochs",

@@ -96,7 +96,7 @@ def _closing(state: State, command: Command) -> tuple[Tensor, Tensor]:
 
 
 def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Speed towards the target, up to `approach_speed`; 1 within the arrival radius. Not in the paper.
+    """Speed towards the target, up to `approach_speed`; 1 within `approach_radius`. Not in the paper.
 
     Unlike the cosine of eq. 3 it grows with speed, so that shuffling does not earn what walking does.
 
@@ -105,7 +105,7 @@ def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
     """
     speed, distance = _closing(state, command)
     share = (speed / config.approach_speed).clamp(-1.0, 1.0)
-    return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
+    return torch.where(distance < config.approach_radius, torch.ones_like(share), share)
 
 
 def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
