@@ -131,12 +131,17 @@ def test_penalties(name, fields_, expected):
 def test_approach_reward_is_the_speed_towards_the_target_up_to_a_limit(velocity, target, expected):
     state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=velocity)
     assert value_of("approach", state, a_command(target)) == pytest.approx(expected)
-    nearer = replace(CONFIG, approach_radius=0.25)
-    if velocity == (0.0, -9.0, 0.0):
-        assert value_of("approach", state, a_command(target), nearer) == pytest.approx(-1.0)
     twice = replace(CONFIG, approach_speed=2.0)
     if 0.0 < abs(expected) < 1.0:
         assert value_of("approach", state, a_command(target), twice) == pytest.approx(expected / 2)
+
+
+@pytest.mark.parametrize("radius", ["approach_radius", "arrival_radius"])
+def test_approach_reward_is_full_within_the_smaller_of_two_radii(radius):
+    state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=(0.0, -9.0, 0.0))
+    config = replace(CONFIG, **{radius: 0.25})
+    assert value_of("approach", state, a_command((0.0, 0.49, 0.0)), config) == pytest.approx(-1.0)
+    assert value_of("approach", state, a_command((0.0, 0.24, 0.0)), config) == pytest.approx(1.0)
 
 
 def test_stand_reward_is_earned_at_rest_at_the_target_in_the_window():

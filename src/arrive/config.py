@@ -100,8 +100,8 @@ class TaskConfig:
     approach_speed: float = 1.0
     """Speed towards the target at which the `approach` reward saturates [m/s]."""
     approach_radius: float = 0.5
-    """Nearer to the target than this the `approach` reward is full [m]. At the arrival radius robots may learn to stop
-    just there, and miss it by a centimetre."""
+    """Nearer to the target than this, and within the arrival radius, the `approach` reward is full [m]. At the arrival
+    radius itself robots may learn to stop just there, and miss it by a centimetre."""
     demotion: Literal["any", "far"] = "any"
     """Which failures lower the level: `any`, or `far` (crash, fall, or more than half of the way left)."""
     demotion_share: float = 1.0

@@ -91,8 +91,9 @@ class ArriveEnv(VecEnv):
         """Whether to take down the last observation of every episode, which costs a second look at all robots."""
         self._terms = _weighted_terms(task, config.task.rewards)
         self._grid = HeightGrid(config.observation).points.to(self.device)
-        half_trunk = torch.tensor(robot.trunk, device=self.device) / 2
+        half_trunk = torch.tensor(robot.trunk_half, device=self.device)
         self._below_trunk = (self._grid.abs() <= half_trunk).all(-1).nonzero().squeeze(-1)
+        self._trunk_grid = self._grid[self._below_trunk]
         sensing = config.observation
         self.observer = Observer(task.observation_terms(robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
@@ -254,7 +255,7 @@ class ArriveEnv(VecEnv):
         _, landed_s = follow_feet(buffers["foot_air_s"], buffers["foot_touched"], touches, self.control_dt)
         heights_w = grid_heights(rasters.heights, tiles, self._grid, readings.base_pos_w, yaw_of(quat))
         gravity_b = rotate_inverse(quat, self._down[: len(quat)])
-        below = self._below_trunk
+        below_w = heights_w[:, self._below_trunk]
         return State(
             base_pos_w=readings.base_pos_w,
             base_quat_w=quat,
@@ -277,7 +278,7 @@ class ArriveEnv(VecEnv):
             collision_contacts=readings.collision_contacts,
             foot_contacts=readings.foot_contacts,
             heights_w=heights_w,
-            clearance=trunk_clearance(self._grid[below], heights_w[:, below], readings.base_pos_w[:, 2], gravity_b),
+            clearance=trunk_clearance(self._trunk_grid, below_w, readings.base_pos_w[:, 2], gravity_b),
             fall_height=rasters.fall_height[tiles],
             rim_height=rasters.rim_height[tiles],
         )

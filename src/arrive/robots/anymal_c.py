@@ -89,6 +89,8 @@ HFE_IN_HIP: Vec3 = (0.0599, 0.08381, 0.0)
 KFE_IN_THIGH: Vec3 = (0.0, 0.1003, -0.285)
 FOOT_IN_SHANK: Vec3 = (0.08795, 0.01305, -0.31547)
 FOOT_RADIUS = 0.03
+TRUNK_HALF = (0.5245, 0.16)
+"""Half the length and half the width of the base's collision shapes [m]."""
 
 HAA_RANGE = (-0.72, 0.49)
 """Of the left legs, positive outwards; the right legs' is its mirror image [rad]."""
@@ -135,10 +137,6 @@ def _add_leg(base: mujoco.MjsBody, leg: Leg) -> list[mujoco.MjsBody]:
     _collide_capsule(thigh, leg.place((0.0, 0.015, -0.285)), leg.place((0.0, 0.085, -0.285)), 0.055)
     _collide_capsule(shank, leg.place((0.08795, 0.01305, -0.0175)), leg.place(FOOT_IN_SHANK), 0.0175)
     return [hip, thigh, shank, foot]
-
-
-TRUNK_HALF = (0.5245, 0.16)
-"""Half the length and half the width of the base's collision shapes [m]."""
 
 
 def _add_base_collision(base: mujoco.MjsBody) -> None:
@@ -215,6 +213,6 @@ ANYMAL_C = Robot(
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("THIGH", "SHANK")),
     crash_bodies=("base",),
-    trunk=(2 * TRUNK_HALF[0], 2 * TRUNK_HALF[1]),
+    trunk_half=TRUNK_HALF,
     joint_mirror=joint_mirror(JOINT_NAMES),
 )

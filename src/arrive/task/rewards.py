@@ -98,14 +98,16 @@ def _closing(state: State, command: Command) -> tuple[Tensor, Tensor]:
 def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Speed towards the target, up to `approach_speed`; 1 within `approach_radius`. Not in the paper.
 
-    Unlike the cosine of eq. 3 it grows with speed, so that shuffling does not earn what walking does.
+    Unlike the cosine of eq. 3 it grows with speed, so that shuffling does not earn what walking does. Where the arrival
+    radius is the smaller of the two, that one holds.
 
     Returns:
         (n,) share of `approach_speed`, at most 1.
     """
     speed, distance = _closing(state, command)
     share = (speed / config.approach_speed).clamp(-1.0, 1.0)
-    return torch.where(distance < config.approach_radius, torch.ones_like(share), share)
+    radius = min(config.approach_radius, config.arrival_radius)
+    return torch.where(distance < radius, torch.ones_like(share), share)
 
 
 def pace(state: State, command: Command, config: TaskConfig) -> Tensor:

@@ -1,5 +1,7 @@
 """Step or leap over a gap (paper, section Terrains)."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from arrive.terrain.family import Family, Layout
@@ -32,12 +34,11 @@ def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
     """
     bottom = square(GROUND_HALF, BOTTOM)
     if layout == "training":
-        edges = _ring_edges(width)
-        boxes, hole = [bottom, square(PLATFORM_HALF, 0.0)], np.zeros_like(inside_square(PLATFORM_HALF))
-        for near, far, following in zip(edges[::2], edges[1::2], (*edges[2::2], GROUND_HALF), strict=True):
-            boxes += frame(far, following, 0.0)
-            hole |= inside_square(far) & ~inside_square(near)
-        beyond = ~inside_square(edges[1]) & ~hole
+        rings = list(pairwise([*_ring_edges(width), GROUND_HALF]))
+        gaps, grounds = rings[::2], rings[1::2]
+        boxes = [bottom, square(PLATFORM_HALF, 0.0), *(box for ring in grounds for box in frame(*ring, 0.0))]
+        hole = np.any([inside_square(far) & ~inside_square(near) for near, far in gaps], axis=0)
+        beyond = ~inside_square(gaps[0][1]) & ~hole
     else:
         far_edge = EVALUATION_GAP_X + width
         near_side, far_side = (-GROUND_HALF, EVALUATION_GAP_X), (far_edge, GROUND_HALF)
@@ -52,8 +53,8 @@ def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
 def _ring_edges(width: float) -> list[float]:
     """Distances of the near and far edges of the training layout's gaps from its middle, nearest first [m]."""
     edges = [PLATFORM_HALF, PLATFORM_HALF + width]
-    while edges[-1] + PLATEAU + width <= LAST_EDGE:
-        edges += [edges[-1] + PLATEAU, edges[-1] + PLATEAU + width]
+    while (near := edges[-1] + PLATEAU) + width <= LAST_EDGE:
+        edges += [near, near + width]
     return edges
 
 
