@@ -15,11 +15,12 @@ from arrive.cli import main
 from arrive.commands import evaluation
 from arrive.config import Config, TaskConfig, TerrainConfig, override
 from arrive.errors import ArriveError
-from arrive.evaluation import difficulty
+from arrive.evaluation import charts, difficulty
 from arrive.evaluation.arrival import Cell, CellResult
 from arrive.evaluation.diagnosis import why_stuck
 from arrive.evaluation.playing import Played, play
 from arrive.evaluation.policy import load_policy
+from arrive.evaluation.records import Run
 from arrive.evaluation.table import PAPER, make_relations
 from arrive.presets import PAPER_REWARDS, get_preset
 from arrive.task.feet import follow_feet
@@ -396,6 +397,15 @@ class TestReport:
         with pytest.raises(SystemExit):
             main(["report", str(tmp_path)])
         assert "not a run folder" in capsys.readouterr().err
+
+
+def test_a_chart_tells_seven_runs_of_one_task_apart():
+    """As many as the shipped policies: a generalist and a specialist for each of six terrains."""
+    log = {"progress/samples": [1e6, 2e6], "arrival/all": [0.1, 0.2]}
+    record = {"config": {"task": {"name": "final"}}}
+    svg = charts.training_chart([Run(str(i), record, log, None, {}) for i in range(7)])
+    lines = [style for style in re.findall(r'style="([^"]*)"', svg) if f"stroke: {charts.COLORS['final']}" in style]
+    assert len(set(lines)) == 7
 
 
 def test_a_retired_robot_neither_moves_nor_ends_again():

@@ -15,7 +15,8 @@ from arrive.terrain import get_family
 
 COLORS = {"velocity": "#d55e00", "continuous": "#009e73", "final": "#0072b2"}
 OTHER_COLOR = "#7a4fa3"
-STYLES = ("-", "--", "-.", ":")
+DASHES = ((), (4, 2), (1, 1.5), (6, 2, 1, 2), (9, 2), (3, 2, 1, 2, 1, 2), (2, 2), (9, 2, 2, 2))
+"""Of the lines of one task's runs: the lengths of dash and space in turn [line widths]; none for a solid line."""
 COLUMNS = 3
 PANEL_IN = (4.3, 2.9)
 RUNNING_MEAN = 40
@@ -39,7 +40,9 @@ def difficulty_chart(runs: Sequence[Run]) -> str:
                 values = [result.cell.value for result in results]
                 low, high = zip(*(result.interval for result in results), strict=True)
                 share = [100 * result.success for result in results]
-                axes.plot(values, share, style, color=color_of(run.task), marker="o", markersize=3.5, label=run.label)
+                axes.plot(
+                    values, share, color=color_of(run.task), ls=style, marker="o", markersize=3.5, label=run.label
+                )
                 axes.fill_between(values, *_percent(low, high), color=color_of(run.task), alpha=0.15, linewidth=0)
         for task, value in PAPER.get(name, {}).items():
             if value is not None:
@@ -61,7 +64,7 @@ def training_chart(runs: Sequence[Run]) -> str:
         mean_level = [sum(row) / len(row) for row in zip(*levels, strict=True)]
         for axes, values in ((panels[0], [100 * v for v in run.log.get("arrival/all", [])]), (panels[1], mean_level)):
             if values:
-                axes.plot(samples, _smooth(values), style, color=color_of(run.task), label=run.label)
+                axes.plot(samples, _smooth(values), color=color_of(run.task), ls=style, label=run.label)
     _finish(panels[0], "success of recent episodes while learning", "samples [million]", "[%]")
     _finish(panels[1], "mean terrain level", "samples [million]", "level")
     panels[0].set_ylim(0, 103)
@@ -80,7 +83,7 @@ def speed_chart(runs: Sequence[Run], level: int = 0) -> str:
             rows = run.difficulty["policy"]["usage"].get(name) if run.difficulty else None
             if rows and "speed_profile" in rows[level]:
                 profile, median = rows[level]["speed_profile"], rows[level]["arrival_time_s"][1]
-                axes.plot(profile["time_s"], profile["mean_m_s"], style, color=color_of(run.task), label=run.label)
+                axes.plot(profile["time_s"], profile["mean_m_s"], color=color_of(run.task), ls=style, label=run.label)
                 axes.axvline(median, color=color_of(run.task), linestyle=(0, (1, 2)), linewidth=1.4)
                 title = f"{name} {rows[level]['value']:.3g} {family.unit}" if family.unit else name
         axes.set_ylim(bottom=0)
@@ -93,13 +96,13 @@ def _measured(runs: Sequence[Run]) -> list[str]:
     return list(dict.fromkeys(name for run in runs for name in run.results()))
 
 
-def _styled(runs: Sequence[Run]) -> list[tuple[Run, str]]:
+def _styled(runs: Sequence[Run]) -> list[tuple[Run, tuple[int, tuple[float, ...]]]]:
     """Runs with the line style that tells those of one task apart."""
     seen: dict[str, int] = {}
     styled = []
     for run in runs:
         count = seen[run.task] = seen.get(run.task, -1) + 1
-        styled.append((run, STYLES[count % len(STYLES)]))
+        styled.append((run, (0, DASHES[count % len(DASHES)])))
     return styled
 
 
@@ -141,7 +144,9 @@ def _svg(figure: Figure, panels: Sequence[Axes]) -> str:
     for axes in panels:
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     if lines:
-        figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=4, fontsize=9, frameon=False)
+        figure.legend(
+            lines.values(), lines.keys(), loc="outside upper left", ncols=4, fontsize=9, frameon=False, handlelength=4
+        )
     text = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "arrive"}):
         figure.savefig(text, format="svg", metadata={"Date": None})
