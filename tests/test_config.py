@@ -98,6 +98,10 @@ def test_a_wrong_assignment_says_what_would_be_right(assignment, words):
         assert word in str(error.value)
 
 
+def test_a_share_of_the_robots_is_set_by_its_familys_name():
+    assert override(get_preset("paper"), ("terrain.shares.gap=3",)).terrain.shares == {"gap": 3.0}
+
+
 def test_a_saved_field_that_no_longer_exists_is_named():
     data = to_dict(get_preset("paper"))
     data["ppo"]["momentum"] = 0.9

@@ -325,6 +325,19 @@ def test_no_robots_are_an_error(num_envs):
         build_env(config_of(num_envs=num_envs))
 
 
+@pytest.mark.parametrize(
+    ("shares", "message"),
+    [
+        ({"flt": 2.0}, "unknown terrain 'flt'"),
+        ({"flat": 0.0}, r"terrain\.shares\.flat must be positive"),
+    ],
+)
+def test_shares_of_unknown_terrains_or_of_nothing_are_an_error(shares, message):
+    config = config_of(families=("gap", "flat"))
+    with pytest.raises(ArriveError, match=message):
+        build_env(replace(config, terrain=replace(config.terrain, shares=shares)))
+
+
 def test_fewer_robots_than_families_are_an_error():
     with pytest.raises(ArriveError, match="num_envs is 4, fewer than the 5 terrain families"):
         build_env(config_of(num_envs=4, families=MIXED))

@@ -12,7 +12,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, TaskConfig, TerrainConfig
 from arrive.errors import ArriveError
 from arrive.presets import PAPER_REWARDS
-from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum
+from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
 from arrive.task.final import FinalPositionTask
 from arrive.task.heights import look_up
 from arrive.task.rewards import task_share
@@ -305,6 +305,23 @@ class TestJudgement:
         assert not judged(1.9, demotion="far")["demote"]
         assert judged(2.1, demotion="far")["demote"]
         assert not judged(0.4, demotion="far")["demote"]
+
+
+def test_families_take_turns():
+    dealt = deal_families(7, TerrainConfig(families=("gap", "pit", "flat")))
+    assert dealt.tolist() == [0, 1, 2, 0, 1, 2, 0]
+
+
+def test_a_family_with_a_larger_share_gets_more_robots_throughout():
+    config = TerrainConfig(families=("gap", "pit", "flat"), shares={"pit": 3.0, "flat": 0.5, "steps": 9.0})
+    dealt = deal_families(90, config)
+    assert torch.bincount(dealt).tolist() == [20, 60, 10]
+    assert torch.bincount(dealt[:9]).tolist() == [2, 6, 1]
+
+
+def test_the_smallest_share_still_gets_a_robot():
+    config = TerrainConfig(families=("gap", "flat"), shares={"flat": 0.001})
+    assert deal_families(20, config).tolist().count(1) == 1
 
 
 def levels_after(level: int, num_levels: int, *, ended=True, promote=False, demote=False, n: int = 1) -> Tensor:

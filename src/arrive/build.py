@@ -57,6 +57,8 @@ def build_env(
     validate(config)
     robot = get_robot(config.robot)
     families = [get_family(name) for name in config.terrain.families]
+    for name in config.terrain.shares:
+        get_family(name)
     if config.num_envs < len(families):
         raise ArriveError(f"num_envs is {config.num_envs}, fewer than the {len(families)} terrain families")
     values: Sequence[Sequence[float]] = placement.values or [level_values(f, config.terrain.levels) for f in families]

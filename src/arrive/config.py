@@ -115,7 +115,9 @@ class TerrainConfig:
     """Which ground the robots meet."""
 
     families: tuple[str, ...] = ("flat",)
-    """Terrain families, by name; robots are dealt to them in equal parts."""
+    """Terrain families, by name."""
+    shares: dict[str, float] = field(default_factory=dict)
+    """In what proportion families get robots, by name; 1 for those that are not named."""
     levels: int = 10
     """Number of levels between each family's easiest and hardest parameter."""
     variants: int = 8
@@ -225,8 +227,8 @@ def _assign(data: dict[str, Any], keys: list[str], value: Any, path: str) -> Non
         if not isinstance(data.get(key), dict):
             raise unknown_name(f"field {path}: no", key, data)
         data = data[key]
-    # A reward weight may be new: the task checks its name against the registered terms.
-    if keys[-1] not in data and keys[-2:-1] != ["rewards"]:
+    # A reward's weight and a family's share may be new: their names are checked where they are used.
+    if keys[-1] not in data and keys[-2:-1] != ["rewards"] and keys[-2:-1] != ["shares"]:
         raise unknown_name(f"field {path}: no", keys[-1], data)
     data[keys[-1]] = value
 

@@ -98,7 +98,7 @@ class ArriveEnv(VecEnv):
         self.observer = Observer(task.observation_terms(robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
         self._down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
-        dealt = deal_families(self.num_envs, len(pool.families)).to(self.device)
+        dealt = deal_families(self.num_envs, config.terrain).to(self.device)
         self.family_of_env = dealt if assignment is None else assignment[0]
         self.log = StepLog()
         self._allocate()

@@ -28,6 +28,8 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     for name in ("gamma", "lam"):
         yield f"ppo.{name}", getattr(ppo, name), "between 0 and 1", 0.0 <= getattr(ppo, name) <= 1.0
     yield "terrain.families", terrain.families, "at least one family", bool(terrain.families)
+    for name, share in terrain.shares.items():
+        yield f"terrain.shares.{name}", share, "positive and finite", 0.0 < share < math.inf
     least = config.observation.noise_least
     yield "observation.noise_least", least, "between 0 and 1", 0.0 <= least <= 1.0
     yield "ppo.warm_std", ppo.warm_std, "0 or more and finite", 0.0 <= ppo.warm_std < math.inf

@@ -125,7 +125,7 @@ def _placement(config: Config, level: int | None) -> Placement:
     families = parse_families(",".join(config.terrain.families))
     # A family without a parameter has one level only.
     available = torch.tensor([min(level, len(level_values(f, config.terrain.levels)) - 1) for f in families])
-    family = deal_families(config.num_envs, len(families))
+    family = deal_families(config.num_envs, config.terrain)
     return Placement(assignment=(family, available[family]))
 
 

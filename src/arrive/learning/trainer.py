@@ -363,5 +363,5 @@ def _reached_levels(content: dict) -> dict[str, torch.Tensor]:
     terrain, state = from_dict(Config, content["config"]).terrain, content["state"]
     parts = [state["env"]["levels"], *(other["env"]["levels"] for other in state.get("others", ()))]
     levels = torch.cat(parts) / max(terrain.levels - 1, 1)
-    family = torch.cat([deal_families(len(part), len(terrain.families)) for part in parts])
+    family = torch.cat([deal_families(len(part), terrain) for part in parts])
     return {name: levels[family == index] for index, name in enumerate(terrain.families)}

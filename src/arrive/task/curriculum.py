@@ -3,12 +3,17 @@
 import torch
 from torch import Tensor
 
-from arrive.config import TaskConfig
+from arrive.config import TaskConfig, TerrainConfig
 
 
-def deal_families(num_envs: int, num_families: int) -> Tensor:
-    """(num_envs,) index of each robot's terrain family: families get equal parts of the robots."""
-    return torch.arange(num_envs) % num_families
+def deal_families(num_envs: int, config: TerrainConfig) -> Tensor:
+    """(num_envs,) index of each robot's terrain family: families take turns, those with larger shares more often.
+
+    Every family gets a robot where there are as many robots as families.
+    """
+    shares = torch.tensor([config.shares.get(name, 1.0) for name in config.families], dtype=torch.float64)
+    turns = torch.arange(num_envs).unsqueeze(1) / shares
+    return turns.flatten().argsort(stable=True)[:num_envs] % len(shares)
 
 
 class LevelCurriculum:
