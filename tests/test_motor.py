@@ -4,9 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from arrive.actuation import Motor, add_motors, motor_torque
+from arrive.actuation import add_motors, motor_torque
+from arrive.physics.options import PhysicsConfig, apply_options
+from arrive.robots import get_robot
 
-MOTOR = Motor(stiffness=80.0, damping=2.0, effort_limit=80.0, stall_torque=120.0, no_load_speed=7.5)
+MOTOR = get_robot("anymal_c").motor
 
 
 def simulated_torque(kind: str, error_rad: float, speed: float) -> float:
@@ -55,3 +57,55 @@ def test_simulated_motor_equals_the_formula(kind):
 def test_torques_computed_by_hand(kind, error_rad, speed, torque):
     assert motor_torque(MOTOR, np.array(error_rad), np.array(speed), kind) == pytest.approx(torque)
     assert simulated_torque(kind, error_rad, speed) == pytest.approx(torque)
+
+
+def hanging_robot(timestep_s: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """ANYmal C without gravity, its base held, at its default pose."""
+    robot = get_robot("anymal_c")
+    spec = robot.build_spec(False)
+    spec.delete(spec.joint("base"))
+    apply_options(spec, PhysicsConfig(timestep_s=timestep_s))
+    spec.option.gravity = [0, 0, 0]
+    add_motors(spec, robot.joint_names, robot.motor)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.default_joint_pos
+    return model, data
+
+
+@pytest.mark.parametrize("timestep_s", [0.001, 0.005])
+def test_a_drive_in_the_air_keeps_its_own_speed_limit(timestep_s):
+    """Without rotor inertia the knee reached 27 rad/s at 5 ms."""
+    robot = get_robot("anymal_c")
+    model, data = hanging_robot(timestep_s)
+    fastest = np.zeros(model.nv)
+    for joint in range(model.nv):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = data.ctrl[:] = robot.default_joint_pos
+        data.ctrl[joint] += 1.0
+        for _ in range(round(0.5 / timestep_s)):
+            mujoco.mj_step(model, data)
+            fastest[joint] = max(fastest[joint], abs(data.qvel[joint]))
+    assert fastest.max() < 1.1 * robot.motor.no_load_speed
+    assert fastest.min() > 0.3 * robot.motor.no_load_speed  # they do move
+
+
+def test_torque_at_5_ms_is_that_at_1_ms():
+    """Over 20 ms from the same states and targets, on a robot that thrashes about: within 10 % RMS."""
+    rng = np.random.default_rng(1)
+    coarse, fine = hanging_robot(0.005), hanging_robot(0.001)
+    squared_difference, squared = 0.0, 0.0
+    for _ in range(200):
+        targets = fine[1].qpos + rng.normal(0.0, 0.3, fine[0].nu)
+        coarse[1].qpos[:], coarse[1].qvel[:] = fine[1].qpos, fine[1].qvel
+        mean = {}
+        for name, (model, data), steps in (("coarse", coarse, 4), ("fine", fine, 20)):
+            data.ctrl[:] = targets
+            torques = []
+            for _ in range(steps):
+                mujoco.mj_step(model, data)
+                torques.append(data.actuator_force.copy())
+            mean[name] = np.mean(torques, axis=0)
+        squared_difference += np.square(mean["coarse"] - mean["fine"]).sum()
+        squared += np.square(mean["fine"]).sum()
+    assert np.sqrt(squared_difference / squared) < 0.1

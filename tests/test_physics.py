@@ -126,6 +126,34 @@ class TestAccuracy:
         assert not readings.foot_contacts[2].any()
         assert readings.collision_contacts.tolist() == [0.0, 0.0, 4.0]
 
+    @pytest.mark.parametrize("collide", [True, False])
+    def test_legs_meet_each_other_in_the_air(self, collide):
+        """The front legs swing back and the hind ones forward until shanks cross; N_c counts what touches."""
+        tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
+        model = compile_world(ROBOT, tile, PhysicsConfig(leg_contacts=collide))
+        engine = CpuPhysics(ROBOT, [model], 1, decimation=4, threads=1)
+        qpos, qvel = standing(1, 3.0)
+        engine.reset(torch.arange(1), qpos, qvel)
+        targets = torch.tensor([[0.0, 1.3, -0.4, 0.0, -1.3, 0.4] * 2])
+        counts = 0.0
+        for _ in range(25):
+            engine.step(targets)
+            counts += float(engine.read().collision_contacts)
+        assert (counts > 0) == collide
+        assert not engine.read().crash_contacts.any()
+
+    def test_a_leg_never_meets_itself_or_the_base(self):
+        """Collision bits over all geoms: each leg meets the others and the terrain, the base the terrain alone."""
+        model = world()
+        leg_of_body = [model.body(body).name[:2] for body in range(model.nbody)]
+        own = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom]]
+        for first in own:
+            for second in own:
+                meet = (model.geom_contype[first] & model.geom_conaffinity[second]) != 0
+                legs = [leg_of_body[model.geom_bodyid[geom]] for geom in (first, second)]
+                assert meet == (legs[0] != legs[1] and "ba" not in legs)
+        assert all(model.geom_contype[geom] & model.geom_conaffinity[0] for geom in own)
+
     def test_feet_of_a_standing_robot_are_below_its_hips_and_just_above_the_ground(self):
         engine = an_engine(1)
         qpos, qvel = standing(1, ROBOT.standing_height)

@@ -22,6 +22,8 @@ class PhysicsConfig:
     """`mujoco` on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` takes the one that suits the device."""
     motor: MotorKind = "dc"
     """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone."""
+    leg_contacts: bool = True
+    """Whether the robot's legs collide with each other. `false` is for comparison: legs then pass through each other."""
     solver_iterations: int = 15
     """Upper bound on Newton iterations of the contact solver."""
     line_search_iterations: int = 40

@@ -1,7 +1,7 @@
 """A world: one robot on one tile, compiled, with the friction and payload that this copy was dealt."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -63,9 +63,32 @@ def _add_contact_counts(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
         sensor.intprm[:3] = [found, 0, 1]
 
 
+def let_legs_collide(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Let the collision geoms of different legs collide: those of one leg, and legs and base, still pass.
+
+    A leg is a child of the base with all that hangs on it. MuJoCo lets two geoms collide where the `contype` of one
+    has a bit of the other's `conaffinity`; bit 0 belongs to the terrain, and every leg gets a bit of its own.
+    """
+    legs = spec.body(robot.base_body).bodies
+    bits = [2 << leg for leg in range(len(legs))]
+    for own, leg in zip(bits, legs, strict=True):
+        for geom in _collision_geoms(leg):
+            geom.contype |= own
+            geom.conaffinity |= sum(bits) - own
+
+
+def _collision_geoms(body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
+    """The geoms of a body and of all that hangs on it which collide with the terrain."""
+    yield from (geom for geom in body.geoms if geom.contype)
+    for child in body.bodies:
+        yield from _collision_geoms(child)
+
+
 def world_spec(robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = False) -> mujoco.MjSpec:
     """The uncompiled robot on a tile; `visuals` adds the shapes that are only looked at."""
     spec = robot.build_spec(visuals)
+    if config.leg_contacts:
+        let_legs_collide(spec, robot)
     add_tile(spec, tile)
     apply_options(spec, config)
     add_motors(spec, robot.joint_names, robot.motor, config.motor)

@@ -9,7 +9,7 @@ to the right, Ixy = 8.2e-3 and Iyz = -1.2e-3 kg m^2. The legs' figures are the m
 the left front one; they differ from it by at most 0.051 mm and 1.1e-4 kg m^2, because the drives are one part turned
 and not mirrored. The hatch's published inertia (0.001 in all nine entries) is no rigid body's: of it only the
 diagonal is kept. The depth cameras' slightly breaks the triangle inequality too, which their sum with the rest hides.
-The description gives joints no friction, damping or rotor inertia, so neither does this model.
+The description gives joints no friction and no damping, so neither does this model.
 """
 
 import math
@@ -97,6 +97,15 @@ HAA_RANGE = (-0.72, 0.49)
 PITCH_RANGE = (-9.42477796077, 9.42477796077)
 """Of HFE and KFE: one and a half turns either way [rad]."""
 
+ROTOR_INERTIA = 0.1
+"""What a drive's rotor adds to its joint's inertia [kg m^2].
+
+The ANYdrive's rotor is not published. Its harmonic drive has 1:50 (Hutter et al. 2016), so 120 N m of stall torque are
+2.4 N m at the rotor. A motor of that size is the Mini Cheetah's (3 N m, 63e-6 kg m^2 in its published model), which
+would add 63e-6 * 50^2 = 0.16 kg m^2. The drive's spring hides part of that from fast impacts, hence the lower figure;
+0.05 to 0.16 is plausible.
+"""
+
 DEFAULT_HFE = 0.4
 DEFAULT_KFE = -0.8
 """Default pose of the front legs; the hind legs mirror it (legged_gym, anymal_c) [rad]."""
@@ -164,7 +173,7 @@ def _set_inertial(body: mujoco.MjsBody, inertial: Inertial) -> None:
 
 
 def _collide(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties) -> None:
-    """Add a geom that collides with the terrain (conaffinity 1, contype 0) and not with the robot."""
+    """Add a geom that collides with the terrain (`contype` 1) and not with the robot (`conaffinity` 0)."""
     properties |= {"group": COLLISION_GROUP, "contype": 1, "conaffinity": 0, "condim": 3, "mass": 0.0}
     body.add_geom(type=shape, rgba=[0.3, 0.5, 0.8, 0.5], **properties)
 
@@ -208,7 +217,14 @@ ANYMAL_C = Robot(
     default_joint_pos=default_joint_pos(),
     standing_height=standing_height(),
     action_scale=0.5,
-    motor=Motor(stiffness=80.0, damping=2.0, effort_limit=80.0, stall_torque=120.0, no_load_speed=7.5),
+    motor=Motor(
+        stiffness=80.0,
+        damping=2.0,
+        effort_limit=80.0,
+        stall_torque=120.0,
+        no_load_speed=7.5,
+        rotor_inertia=ROTOR_INERTIA,
+    ),
     foot_sites=FEET,
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("THIGH", "SHANK")),

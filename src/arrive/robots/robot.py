@@ -14,7 +14,7 @@ class Robot:
 
     Names are those of the bodies, joints and sites of the spec that `build_spec` returns. The spec holds the robot
     alone: a free-floating base body at the origin, its joints, its collision geoms (group 3, which collide with the
-    terrain and not with the robot itself), its visual geoms (group 2, which collide with nothing) and one site per
+    terrain alone; physics lets those of different legs collide), its visual geoms (group 2, which collide with nothing) and one site per
     foot at the centre of its contact sphere. Motors, sensors and terrain are added by the scene.
     """
 
