@@ -169,7 +169,8 @@ class PPOConfig:
     """Arithmetic of the hidden layers in training; `auto` takes bfloat16 on CPUs that multiply it in hardware. Weights,
     losses, evaluation and exported policies are float32 always."""
     symmetry: bool = False
-    """Whether each batch is doubled by its left-right mirror image."""
+    """Whether the networks treat the robot's mirror images alike, left and right and, where it has that symmetry, front
+    and back."""
 
 
 @dataclass(frozen=True)

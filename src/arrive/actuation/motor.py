@@ -55,7 +55,7 @@ def motor_torque(motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: M
 
 
 def add_motors(spec: mujoco.MjSpec, joint_names: Sequence[str], motor: Motor, kind: MotorKind = "dc") -> None:
-    """Add one position-controlled actuator per joint, in order, and the rotor's inertia to the joints of a robot's spec.
+    """Add one position-controlled actuator per joint, in order, and the rotors' inertia to a robot's spec.
 
     The inertia lets the drive keep its torque-speed limit at physics steps of 5 ms: without it the limit, which is
     taken at the start of a step, acts one step too late on a light shank.

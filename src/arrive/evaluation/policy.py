@@ -67,7 +67,8 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     size = content["schema"][-1]["stop"]
     sample = TensorDict({POLICY: torch.zeros(1, size)}, batch_size=[1])
     num_actions = len(content["actor"]["distribution.log_std_param"])
-    actor = make_actor(config.ppo, sample, num_actions)
+    reflections = len(content["actor"].get("facing.side", ()))
+    actor = make_actor(config.ppo, sample, num_actions, reflections)
     try:
         actor.load_state_dict(content["actor"])
     except RuntimeError as error:

@@ -1,10 +1,19 @@
-"""Networks that learn in bfloat16 where the processor multiplies it faster."""
+"""The networks of actor and critic: rsl_rl's, with the precision and the symmetry of the configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from rsl_rl.models import MLPModel
+from tensordict import TensorDict
 from torch import Tensor, nn
 
 from arrive.config import Precision
+
+if TYPE_CHECKING:
+    from arrive.learning.symmetry import Reflection
 
 
 class MixedPrecision(nn.Sequential):
@@ -21,12 +30,90 @@ class MixedPrecision(nn.Sequential):
         return last(x.float())
 
 
-class MixedPrecisionModel(MLPModel):
-    """rsl_rl's model with the same parameters under the same names, computed by `MixedPrecision`."""
+class Facing(nn.Module):
+    """Reflects observations so that the command leads forwards and to the left, and actions back."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, count: int, observation_size: int, num_actions: int):
+        """Make room for the maps of this many reflections; `set` or a state dict fills it."""
+        super().__init__()
+        for name, size in (("observation", observation_size), ("action", num_actions)):
+            self.register_buffer(f"{name}_index", torch.zeros(count, size, dtype=torch.long))
+            self.register_buffer(f"{name}_sign", torch.ones(count, size))
+        self.register_buffer("side", torch.zeros(count, dtype=torch.long))
+
+    def set(self, reflections: Sequence[Reflection]) -> None:
+        """Take the maps from reflections."""
+        for row, reflection in enumerate(reflections):
+            for name, buffer in self.named_buffers():
+                buffer[row] = torch.as_tensor(getattr(reflection, name))
+
+    def observation(self, observation: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """The reflected (n, size) observation, and for each reflection (n, 1) bool: it was needed."""
+        needed = []
+        for row in range(len(self.side)):
+            needed.append(observation[:, self.side[row]].unsqueeze(-1) < 0.0)
+            reflected = observation[:, self.observation_index[row]] * self.observation_sign[row]
+            observation = torch.where(needed[-1], reflected, observation)
+        return observation, needed
+
+    def action(self, action: Tensor, needed: list[Tensor]) -> Tensor:
+        """The (n, joints) action of the robot itself; a reflection undoes itself."""
+        for row in reversed(range(len(needed))):
+            reflected = action[:, self.action_index[row]] * self.action_sign[row]
+            action = torch.where(needed[row], reflected, action)
+        return action
+
+
+class Network(MLPModel):
+    """rsl_rl's model, whose parameters keep their names."""
+
+    def __init__(
+        self,
+        *args,
+        precision: Precision = "float32",
+        reflections: Sequence[Reflection] | int = 0,
+        **kwargs,
+    ):
+        """Build rsl_rl's model.
+
+        Args:
+            precision: arithmetic of the hidden layers.
+            reflections: maps of the robot's symmetries, or how many a state dict will bring; none for a network
+                that knows of none.
+        """
         super().__init__(*args, **kwargs)
-        self.mlp = MixedPrecision(*self.mlp)
+        if precision == "bfloat16":
+            self.mlp = MixedPrecision(*self.mlp)
+        self.facing: Facing | None = None
+        if isinstance(reflections, int):
+            if reflections:
+                self.facing = Facing(reflections, self.obs_dim, self.mlp[-1].out_features)
+        elif reflections:
+            self.facing = Facing(len(reflections), self.obs_dim, len(reflections[0].action_sign))
+            self.facing.set(reflections)
+
+    def forward(
+        self,
+        obs: TensorDict,
+        masks: Tensor | None = None,
+        hidden_state: None = None,
+        stochastic_output: bool = False,
+    ) -> Tensor:
+        """Values, or actions: sampled where `stochastic_output` asks for it, their means else."""
+        latent = self.get_latent(obs)
+        if self.facing is None:
+            output = self.mlp(latent)
+        else:
+            facing, needed = self.facing.observation(latent)
+            output = self.mlp(facing)
+            if self.distribution is not None:  # a value is the same for both robots
+                output = self.facing.action(output, needed)
+        if self.distribution is None:
+            return output
+        if stochastic_output:
+            self.distribution.update(output)
+            return self.distribution.sample()
+        return self.distribution.deterministic_output(output)
 
 
 def choose_precision(precision: Precision) -> Precision:

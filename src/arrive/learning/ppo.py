@@ -4,19 +4,15 @@ import contextlib
 import io
 
 from rsl_rl.algorithms import PPO
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from arrive.config import PPOConfig
 from arrive.env import POLICY, ArriveEnv
-from arrive.learning.networks import choose_precision
+from arrive.learning.networks import Network, choose_precision
 from arrive.learning.ranks import ALONE, Ranks
-from arrive.learning.symmetry import Augmentation, make_mirror
+from arrive.learning.symmetry import make_reflections
 
-MODEL_CLASSES = {
-    "float32": "rsl_rl.models:MLPModel",
-    "bfloat16": "arrive.learning.networks:MixedPrecisionModel",
-}
+NETWORK_CLASS = "arrive.learning.networks:Network"
 DISTRIBUTION_CLASS = "rsl_rl.modules.distribution:GaussianDistribution"
 
 
@@ -28,34 +24,40 @@ def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict, ranks:
     return algorithm
 
 
-def make_actor(config: PPOConfig, observations: TensorDict, num_actions: int) -> MLPModel:
-    """An actor alone, to run a trained policy."""
-    settings = _actor_settings(config)
-    settings.pop("class_name")
-    return MLPModel(observations, {"actor": [POLICY]}, "actor", num_actions, **settings).eval()
+def make_actor(config: PPOConfig, observations: TensorDict, num_actions: int, reflections: int) -> Network:
+    """An actor alone, to run a trained policy in float32.
+
+    Args:
+        reflections: how many symmetries of the robot it knows; its state dict says how they look.
+    """
+    settings = _network_settings(config) | _noise_settings(config)
+    settings |= {"precision": "float32", "reflections": reflections}
+    return Network(observations, {"actor": [POLICY]}, "actor", num_actions, **settings).eval()
 
 
-def _actor_settings(config: PPOConfig) -> dict:
+def _network_settings(config: PPOConfig) -> dict:
     return {
-        "class_name": MODEL_CLASSES[choose_precision(config.precision)],
         "hidden_dims": list(config.hidden),
         "activation": "elu",
+        "precision": choose_precision(config.precision),
+    }
+
+
+def _noise_settings(config: PPOConfig) -> dict:
+    return {
         "distribution_cfg": {"class_name": DISTRIBUTION_CLASS, "init_std": config.init_std, "std_type": "log"},
     }
 
 
 def _settings(config: PPOConfig, env: ArriveEnv, ranks: Ranks) -> dict:
-    augmentation = {"data_augmentation_func": Augmentation(make_mirror(env)), "use_data_augmentation": True}
+    network = {"class_name": NETWORK_CLASS} | _network_settings(config)
+    network["reflections"] = make_reflections(env) if config.symmetry else ()
     return {
         "num_steps_per_env": config.num_steps,
         "obs_groups": {"actor": [POLICY], "critic": [POLICY]},
         "multi_gpu": ranks.settings(),
-        "actor": _actor_settings(config),
-        "critic": {
-            "class_name": MODEL_CLASSES[choose_precision(config.precision)],
-            "hidden_dims": list(config.hidden),
-            "activation": "elu",
-        },
+        "actor": network | _noise_settings(config),
+        "critic": network,
         "algorithm": {
             "class_name": "rsl_rl.algorithms:PPO",
             "num_learning_epochs": config.epochs,
@@ -69,6 +71,5 @@ def _settings(config: PPOConfig, env: ArriveEnv, ranks: Ranks) -> dict:
             "entropy_coef": config.entropy,
             "value_loss_coef": config.value_loss,
             "max_grad_norm": config.max_grad_norm,
-            "symmetry_cfg": augmentation if config.symmetry else None,
         },
     }

@@ -1,58 +1,52 @@
-"""Left-right reflection of observations and actions, with maps derived from names."""
+"""Networks that treat a robot's mirror images alike: a target behind is one ahead, to a robot that is reflected.
+
+The robot looks the same from left and right, and some robots from front and back. What is right for one command is
+then right, reflected, for its mirror image. The networks see every observation reflected so that the command leads
+forwards and to the left, and what they answer is reflected back. They learn a quarter of the directions, and no
+walking direction can be preferred (the paper's section Emergent Gaits regrets that its policies do).
+"""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 
-from arrive.env import POLICY, ArriveEnv
-from arrive.task.observations import joint_mirror
+from arrive.env import ArriveEnv
+from arrive.task.observations import joint_mirror, joint_reverse
 
 
 @dataclass(frozen=True)
-class Mirror:
-    """Index and sign of every entry: mirrored = original[:, index] * sign."""
+class Reflection:
+    """Index and sign of every entry: reflected = original[:, index] * sign."""
 
     observation_index: Tensor
     observation_sign: Tensor
     action_index: Tensor
     action_sign: Tensor
+    side: int
+    """Column of the observation that is negative where the command leads to the far side of the mirror."""
 
     def observation(self, observation: Tensor) -> Tensor:
-        """What the mirrored robot would sense, (n, size)."""
+        """What the reflected robot would sense, (n, size)."""
         return observation[:, self.observation_index] * self.observation_sign
 
     def action(self, action: Tensor) -> Tensor:
-        """What the mirrored robot would do, (n, joints)."""
+        """What the reflected robot would do, (n, joints)."""
         return action[:, self.action_index] * self.action_sign
 
 
-def make_mirror(env: ArriveEnv) -> Mirror:
-    """The environment's mirror maps."""
-    observation_index, observation_sign = env.observer.mirror()
-    joints = joint_mirror(env.robot)
-    maps = (
-        observation_index,
-        observation_sign,
-        torch.tensor([index for index, _ in joints]),
-        torch.tensor([sign for _, sign in joints]),
-    )
-    return Mirror(*(part.to(env.device) for part in maps))
+def make_reflections(env: ArriveEnv) -> tuple[Reflection, ...]:
+    """Front-back reflection, where the robot has that symmetry, and left-right reflection."""
+    observer, robot = env.observer, env.robot
+    ahead, left = (observer.column(*side) for side in env.task.sides)
+    mirror = _reflection(observer.mirror(), joint_mirror(robot), left)
+    if robot.joint_reverse is None:
+        return (mirror,)
+    return _reflection(observer.reverse(), joint_reverse(robot), ahead), mirror
 
 
-class Augmentation:
-    """Doubles a batch by its mirror image; the form in which rsl_rl asks for it."""
-
-    def __init__(self, mirror: Mirror):
-        self._mirror = mirror
-
-    def __call__(
-        self, env: ArriveEnv, obs: TensorDict | None, actions: Tensor | None
-    ) -> tuple[TensorDict | None, Tensor | None]:
-        if obs is not None:
-            both = torch.cat([obs[POLICY], self._mirror.observation(obs[POLICY])])
-            obs = TensorDict({POLICY: both}, batch_size=[len(both)], device=both.device)
-        if actions is not None:
-            actions = torch.cat([actions, self._mirror.action(actions)])
-        return obs, actions
+def _reflection(observation: tuple[Tensor, Tensor], joints: tuple[tuple[int, float], ...], side: int) -> Reflection:
+    index, sign = zip(*joints, strict=True)
+    return Reflection(*observation, torch.tensor(index), torch.tensor(sign), side)

@@ -23,7 +23,7 @@ class PhysicsConfig:
     motor: MotorKind = "dc"
     """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone."""
     leg_contacts: bool = True
-    """Whether the robot's legs collide with each other. `false` is for comparison: legs then pass through each other."""
+    """Whether the robot's legs collide with each other; `false`, for comparison, lets them pass through each other."""
     solver_iterations: int = 15
     """Upper bound on Newton iterations of the contact solver."""
     line_search_iterations: int = 40

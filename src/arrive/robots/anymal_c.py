@@ -205,6 +205,18 @@ def joint_mirror(joint_names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
     return tuple((other_side[name[0]] + name[1:], -1.0 if name.endswith("HAA") else 1.0) for name in joint_names)
 
 
+def joint_reverse(joint_names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
+    """Partner and sign of each joint under reflection about the y-z plane.
+
+    F and H swap. A rotation about the plane's normal (HAA, about x) does not change sign; one about an axis in it (HFE
+    and KFE, about y) does. The legs are exact images; the base's centre of mass, 18 mm behind the middle, is not.
+    """
+    other_end = {"F": "H", "H": "F"}
+    return tuple(
+        (name[0] + other_end[name[1]] + name[2:], 1.0 if name.endswith("HAA") else -1.0) for name in joint_names
+    )
+
+
 JOINT_NAMES = tuple(f"{leg.name}_{drive}" for leg in LEGS for drive in DRIVES)
 FEET = tuple(f"{leg.name}_FOOT" for leg in LEGS)
 
@@ -231,4 +243,5 @@ ANYMAL_C = Robot(
     crash_bodies=("base",),
     trunk_half=TRUNK_HALF,
     joint_mirror=joint_mirror(JOINT_NAMES),
+    joint_reverse=joint_reverse(JOINT_NAMES),
 )

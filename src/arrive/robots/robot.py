@@ -14,8 +14,9 @@ class Robot:
 
     Names are those of the bodies, joints and sites of the spec that `build_spec` returns. The spec holds the robot
     alone: a free-floating base body at the origin, its joints, its collision geoms (group 3, which collide with the
-    terrain alone; physics lets those of different legs collide), its visual geoms (group 2, which collide with nothing) and one site per
-    foot at the centre of its contact sphere. Motors, sensors and terrain are added by the scene.
+    terrain alone; physics lets those of different legs collide), its visual geoms (group 2, which collide with
+    nothing) and one site per foot at the centre of its contact sphere. Motors, sensors and terrain are added by the
+    scene.
     """
 
     name: str
@@ -42,3 +43,5 @@ class Robot:
     """Half the length and half the width of what would hit the ground first below the base, centred at it [m]."""
     joint_mirror: tuple[tuple[str, float], ...]
     """For each joint, its partner under left-right reflection and the sign of the position there."""
+    joint_reverse: tuple[tuple[str, float], ...] | None = None
+    """The same under front-back reflection; None for a robot whose hind legs are no mirror image of the front ones."""

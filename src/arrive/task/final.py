@@ -24,6 +24,7 @@ LINE_POINTS = 64
 class FinalPositionTask:
     """Position targets with a deadline."""
 
+    sides = (("target", 0), ("target", 1))
     rewards: dict[str, RewardFunction] = REWARDS
 
     def __init__(

@@ -27,6 +27,11 @@ class HeightGrid:
         count_y = len(_symmetric_range(self._width, self._step))
         return [i - i % count_y + count_y - 1 - i % count_y for i in range(len(self.points))]
 
+    def reverse(self) -> list[int]:
+        """For each point, the index of its front-back mirror image."""
+        count_y = len(_symmetric_range(self._width, self._step))
+        return [len(self.points) - count_y - i + 2 * (i % count_y) for i in range(len(self.points))]
+
 
 def _symmetric_range(extent: float, step: float) -> Tensor:
     count = round(extent / step)

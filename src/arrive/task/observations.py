@@ -34,6 +34,8 @@ class ObservationTerm:
     """Half-width of the uniform noise, in `unit`."""
     mirror: tuple[tuple[int, float], ...]
     """For each entry, the entry it takes from and the sign under left-right reflection."""
+    reverse: tuple[tuple[int, float], ...]
+    """The same under front-back reflection; as `mirror` counts, of no use for a robot that has no such symmetry."""
     compute: Callable[[State, Any], Tensor]
     """Of the state and the task's own command."""
 
@@ -44,6 +46,8 @@ class ObservationTerm:
 
 VECTOR_MIRROR = ((0, 1.0), (1, -1.0), (2, 1.0))
 AXIAL_MIRROR = ((0, -1.0), (1, 1.0), (2, -1.0))
+VECTOR_REVERSE = ((0, -1.0), (1, 1.0), (2, 1.0))
+AXIAL_REVERSE = ((0, 1.0), (1, -1.0), (2, -1.0))
 XYZ = ("x", "y", "z")
 
 
@@ -53,15 +57,22 @@ def joint_mirror(robot: Robot) -> tuple[tuple[int, float], ...]:
     return tuple((index[partner], sign) for partner, sign in robot.joint_mirror)
 
 
+def joint_reverse(robot: Robot) -> tuple[tuple[int, float], ...]:
+    """The robot's front-back map by index; every joint its own partner where the robot has no such symmetry."""
+    index = {name: i for i, name in enumerate(robot.joint_names)}
+    partners = robot.joint_reverse or tuple((name, 1.0) for name in robot.joint_names)
+    return tuple((index[partner], sign) for partner, sign in partners)
+
+
 def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float) -> tuple[ObservationTerm, ...]:
     """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise.
 
     More remaining time than an episode of training has is told as that much: the policy has never seen more.
     """
     target_and_time = (
-        ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR,
+        ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR, VECTOR_REVERSE,
                         lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
-        ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),),
+        ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),), ((0, 1.0),),
                         lambda s, c: c.time_left_s.clamp(max=episode_s).unsqueeze(-1)),
     )  # fmt: skip
     return around_command(robot, config, target_and_time)
@@ -75,25 +86,26 @@ def around_command(
     The direction of gravity is not in the paper's list but in the set-up of Rudin et al. 2021 that it builds on.
     """
     joints = robot.joint_names
-    mirror_joints = joint_mirror(robot)
+    joint_maps = joint_mirror(robot), joint_reverse(robot)
     grid = HeightGrid(config)
     cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())
+    reverse_cells = tuple((i, 1.0) for i in grid.reverse())
     return (
-        ObservationTerm("base_lin_vel", "m/s", "base", XYZ, 2.0, config.noise_lin_vel, VECTOR_MIRROR,
+        ObservationTerm("base_lin_vel", "m/s", "base", XYZ, 2.0, config.noise_lin_vel, VECTOR_MIRROR, VECTOR_REVERSE,
                         lambda s, c: s.base_lin_vel_b),
-        ObservationTerm("base_ang_vel", "rad/s", "base", XYZ, 0.25, config.noise_ang_vel, AXIAL_MIRROR,
+        ObservationTerm("base_ang_vel", "rad/s", "base", XYZ, 0.25, config.noise_ang_vel, AXIAL_MIRROR, AXIAL_REVERSE,
                         lambda s, c: s.base_ang_vel_b),
-        ObservationTerm("gravity", "1", "base", XYZ, 1.0, config.noise_gravity, VECTOR_MIRROR,
+        ObservationTerm("gravity", "1", "base", XYZ, 1.0, config.noise_gravity, VECTOR_MIRROR, VECTOR_REVERSE,
                         lambda s, c: s.gravity_b),
         *command_terms,
         ObservationTerm("joint_pos", "rad", "relative to the default pose", joints, 1.0, config.noise_joint_pos,
-                        mirror_joints, lambda s, c: s.joint_offset),
-        ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, mirror_joints,
+                        *joint_maps, lambda s, c: s.joint_offset),
+        ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, *joint_maps,
                         lambda s, c: s.joint_vel),
-        ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, mirror_joints, lambda s, c: s.action),
+        ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, *joint_maps, lambda s, c: s.action),
         ObservationTerm("heights", "m", "heading, 0.5 m below the base, positive down", cells,
-                        config.height_scale, config.noise_heights, mirror_cells, relative_heights),
+                        config.height_scale, config.noise_heights, mirror_cells, reverse_cells, relative_heights),
     )  # fmt: skip
 
 
@@ -144,10 +156,21 @@ class Observer:
         return rows
 
     def mirror(self) -> tuple[Tensor, Tensor]:
-        """Index and sign, (size,) each: mirrored = observation[:, index] * sign."""
+        """Index and sign, (size,) each, of left-right reflection: mirrored = observation[:, index] * sign."""
+        return self._joined([term.mirror for term in self.terms])
+
+    def reverse(self) -> tuple[Tensor, Tensor]:
+        """The same of front-back reflection."""
+        return self._joined([term.reverse for term in self.terms])
+
+    def _joined(self, maps: list[tuple[tuple[int, float], ...]]) -> tuple[Tensor, Tensor]:
         index, sign, start = [], [], 0
-        for term in self.terms:
-            index += [start + source for source, _ in term.mirror]
-            sign += [factor for _, factor in term.mirror]
+        for term, entries in zip(self.terms, maps, strict=True):
+            index += [start + source for source, _ in entries]
+            sign += [factor for _, factor in entries]
             start += term.size
         return torch.tensor(index), torch.tensor(sign)
+
+    def column(self, name: str, entry: int) -> int:
+        """Where an entry of a term stands in the observation."""
+        return next(row["start"] for row in self.schema() if row["name"] == name) + entry

@@ -59,6 +59,8 @@ class Task(Protocol):
     """Commands, their observation, the rewards on offer, and what counts as success."""
 
     rewards: dict[str, RewardFunction]
+    sides: tuple[tuple[str, int], tuple[str, int]]
+    """Term and entry of the observation that are positive where the command leads forwards, and to the left."""
 
     def __init__(
         self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None

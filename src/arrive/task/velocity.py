@@ -109,6 +109,7 @@ def roll_pitch_rate_cost(state: State, command: VelocityCommand, config: TaskCon
 class VelocityTask:
     """Forward speed and heading to follow, for as long as the episode lasts."""
 
+    sides = (("speed_command", 0), ("yaw_rate_command", 0))
     rewards: dict[str, RewardFunction] = {
         "track_speed": track_speed,
         "track_yaw_rate": track_yaw_rate,
@@ -167,9 +168,9 @@ class VelocityTask:
 
     def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
         command = (
-            ObservationTerm("speed_command", "m/s", "base", ("x",), 2.0, 0.0, ((0, 1.0),),
+            ObservationTerm("speed_command", "m/s", "base", ("x",), 2.0, 0.0, ((0, 1.0),), ((0, -1.0),),
                             lambda s, c: c.speed.unsqueeze(-1)),
-            ObservationTerm("yaw_rate_command", "rad/s", "base", ("z",), 0.25, 0.0, ((0, -1.0),),
+            ObservationTerm("yaw_rate_command", "rad/s", "base", ("z",), 0.25, 0.0, ((0, -1.0),), ((0, -1.0),),
                             lambda s, c: yaw_rate(s, c).unsqueeze(-1)),
         )  # fmt: skip
         return around_command(robot, self._observation, command)

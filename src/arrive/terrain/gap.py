@@ -17,8 +17,13 @@ LAST_EDGE = 3.8
 """Further rings end here at the latest [m], so that most targets lie beyond all of them."""
 EVALUATION_GAP_X = 1.5
 """x of the gap's near edge in the evaluation layout [m]."""
-BOTTOM = -2.0
-"""Height of the gap's bottom [m]."""
+DEPTH = 2.0
+"""Depth of a gap [m]: nothing can be stepped into."""
+NARROWEST = 0.02
+"""Width of the first training level's gap [m]."""
+SHALLOWEST, DEPTH_PER_WIDTH = 0.03, 2.0
+"""Depth of that gap [m], and how much deeper training's gaps are per metre that they are wider, up to `DEPTH`: one of
+0.2 m is 0.39 m deep. Robots learn nothing from falling into a deep one; a foot that sinks into a groove tells them."""
 FALL_HEIGHT = -0.5
 """A base this far below the edges cannot come back [m]."""
 RIM_HEIGHT = 0.0
@@ -30,9 +35,11 @@ EDGE_MARGIN = 0.35
 def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
     """Gaps around the platform (training) or one across the way (evaluation); crossing means being beyond the first.
 
-    Crossing takes half a second of an episode: where a second ring fits, training sees twice as much of it.
+    Crossing takes half a second of an episode: where a second ring fits, training sees twice as much of it. Training's
+    narrow gaps are shallow too.
     """
-    bottom = square(GROUND_HALF, BOTTOM)
+    depth = min(DEPTH, SHALLOWEST + DEPTH_PER_WIDTH * (width - NARROWEST)) if layout == "training" else DEPTH
+    bottom = square(GROUND_HALF, -depth)
     if layout == "training":
         rings = list(pairwise([*_ring_edges(width), GROUND_HALF]))
         gaps, grounds = rings[::2], rings[1::2]
@@ -58,4 +65,4 @@ def _ring_edges(width: float) -> list[float]:
     return edges
 
 
-GAP = Family("gap", "a gap to leap over", "width", "m", 0.1, 1.4, build, random=False)
+GAP = Family("gap", "a gap to leap over", "width", "m", NARROWEST, 1.4, build, random=False)

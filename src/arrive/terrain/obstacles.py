@@ -11,6 +11,12 @@ from arrive.terrain.tile import RASTER_SIZE, Tile
 
 HEIGHT = 1.2
 """Height of the pillars [m]: more than the robot can climb."""
+NARROWEST, WIDEST = 0.2, 1.1
+"""Sides of the pillars [m]."""
+LOWEST_HEIGHT, FULL_HEIGHT_FROM = 0.02, 0.5
+"""Height of training's first pillars [m], and the largest side at which they have all of `HEIGHT` [m]."""
+FEWEST = 20
+"""Pillars of training's first level."""
 PASSAGE = 1.0
 """Least free distance between two pillars [m]; a robot 0.6 m wide passes, so every target can be reached."""
 CLEAR_RADIUS = 1.2
@@ -37,37 +43,59 @@ EVALUATION_HALF_Y = 6.0
 def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
     """Square pillars at random places with passages between; in evaluation the first one blocks the straight line.
 
+    In training `side` is that of the widest pillars; the others are narrower, because narrow and wide ones ask for
+    different ways. The first levels have few pillars and low ones, which a robot may step on.
+
     Targets are invalid on and near pillars. Those to which no straight way leads from the start count as crossing: who
     walks to another one has walked around nothing.
     """
     if layout == "training":
         low, high = np.full(2, -TRAINING_HALF), np.full(2, TRAINING_HALF)
         first = []
+        height, most = _grown(side)
+        sides = rng.uniform(NARROWEST, side, MAX_DARTS)
     else:
         low = np.array([EVALUATION_X[0] + side / 2, -EVALUATION_HALF_Y])
         high = np.array([EVALUATION_X[1] - side / 2, EVALUATION_HALF_Y])
         first = [rng.uniform((max(low[0], 2.2), -0.1), (min(high[0], 3.4), 0.1))]
-    centers = _throw_darts(first, low, high, side, rng)
-    half = side / 2
-    pillars = [block((x - half, x + half), (y - half, y + half), HEIGHT) for x, y in centers]
+        height, most = HEIGHT, MAX_PILLARS
+        sides = np.full(MAX_DARTS, side)
+    centers, sides = _throw_darts(first, rng.uniform(low, high, (MAX_DARTS, 2)), sides, most)
+    pillars = [
+        block((x - s / 2, x + s / 2), (y - s / 2, y + s / 2), height) for (x, y), s in zip(centers, sides, strict=True)
+    ]
     palette = [LIGHT] + [ACCENT] * len(pillars)
-    valid = ~dilate(_covered(centers, half), STANDING_RADIUS)
-    hidden = _hidden(np.array(centers), half + ROBOT_HALF_WIDTH)
+    valid = ~dilate(_covered(centers, sides / 2), STANDING_RADIUS)
+    hidden = _hidden(centers, sides / 2 + ROBOT_HALF_WIDTH)
     return assemble([square(GROUND_HALF, 0.0), *pillars], palette, valid, hidden, parted=False)
 
 
+def _grown(side: float) -> tuple[float, int]:
+    """Height [m] and largest number of training's pillars at a level whose widest have this side."""
+    share = min(1.0, (side - NARROWEST) / (FULL_HEIGHT_FROM - NARROWEST))
+    return LOWEST_HEIGHT + share * (HEIGHT - LOWEST_HEIGHT), round(FEWEST + share * (MAX_PILLARS - FEWEST))
+
+
 def _throw_darts(
-    first: list[np.ndarray], low: np.ndarray, high: np.ndarray, side: float, rng: np.random.Generator
-) -> list[np.ndarray]:
-    """Centres of pillars: `first`, then random places that keep clear of the start and of those before."""
-    centers = list(first)
-    for dart in rng.uniform(low, high, (MAX_DARTS, 2)):
-        free = _distance(dart, side / 2) >= CLEAR_RADIUS
-        if free and all(_distance(dart - other, side) >= PASSAGE for other in centers):
-            centers.append(dart)
-        if len(centers) == MAX_PILLARS:
+    first: list[np.ndarray], darts: np.ndarray, sides: np.ndarray, most: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(pillars, 2) centres and (pillars,) sides [m]: `first`, then darts that keep clear of the start and each other.
+
+    Args:
+        darts: (n, 2) places to try [m].
+        sides: (n,) of the pillars there [m]; `first` has those of the first darts.
+        most: stop at this many pillars.
+    """
+    centers, kept = list(first), list(sides[: len(first)])
+    for dart, side in zip(darts, sides, strict=True):
+        if len(centers) == most:
             break
-    return centers
+        free = _distance(dart, side / 2) >= CLEAR_RADIUS
+        apart = (_distance(dart - other, (side + own) / 2) >= PASSAGE for other, own in zip(centers, kept, strict=True))
+        if free and all(apart):
+            centers.append(dart)
+            kept.append(side)
+    return np.array(centers), np.array(kept)
 
 
 def _distance(offset: np.ndarray, half: float) -> float:
@@ -78,19 +106,22 @@ def _distance(offset: np.ndarray, half: float) -> float:
     return float(np.linalg.norm(np.maximum(np.abs(offset) - half, 0.0)))
 
 
-def _covered(centers: list[np.ndarray], half: float) -> np.ndarray:
+def _covered(centers: np.ndarray, halves: np.ndarray) -> np.ndarray:
     """Cells under a pillar."""
     x, y = cell_grid()
-    squares = (np.maximum(np.abs(x - center[0]), np.abs(y - center[1])) <= half for center in centers)
+    squares = (
+        np.maximum(np.abs(x - center[0]), np.abs(y - center[1])) <= half
+        for center, half in zip(centers, halves, strict=True)
+    )
     return reduce(np.logical_or, squares, np.zeros((RASTER_SIZE, RASTER_SIZE), dtype=bool))
 
 
-def _hidden(centers: np.ndarray, half: float) -> np.ndarray:
-    """Cells that the straight way from the origin reaches only through a square of this half edge."""
+def _hidden(centers: np.ndarray, halves: np.ndarray) -> np.ndarray:
+    """Cells that the straight way from the origin reaches only through a square of one of these half edges."""
     angles = np.linspace(-np.pi, np.pi, SHADOW_ANGLES, endpoint=False)
     direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
     direction = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
-    sides = np.stack([(centers - half) / direction, (centers + half) / direction])
+    sides = np.stack([(centers - halves[:, None]) / direction, (centers + halves[:, None]) / direction])
     entry, leave = sides.min(0).max(-1), sides.max(0).min(-1)
     first = np.where((entry < leave) & (leave > 0.0), entry, np.inf).min(-1)
     x, y = cell_grid()
@@ -98,4 +129,4 @@ def _hidden(centers: np.ndarray, half: float) -> np.ndarray:
     return np.hypot(x, y) > first[nearest]
 
 
-OBSTACLES = Family("obstacles", "pillars to walk around", "side", "m", 0.2, 1.1, build, random=True)
+OBSTACLES = Family("obstacles", "pillars to walk around", "side", "m", NARROWEST, WIDEST, build, random=True)

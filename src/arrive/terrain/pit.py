@@ -29,4 +29,4 @@ def build(depth: float, rng: np.random.Generator, layout: Layout) -> Tile:
     return assemble(boxes, palette, target_valid=~near_wall, crossing=outside)
 
 
-PIT = Family("pit", "a pit to climb out of", "depth", "m", 0.05, 1.1, build, random=False)
+PIT = Family("pit", "a pit to climb out of", "depth", "m", 0.02, 1.1, build, random=False)

@@ -58,5 +58,5 @@ def _colour(step: int) -> tuple[float, float, float]:
     return DARK if step % 2 else LIGHT
 
 
-STAIRS = Family("stairs", "stairs up", "rise", "m", 0.05, 0.45, partial(build, direction=1), random=False)
-STAIRS_DOWN = Family("stairs_down", "stairs down", "rise", "m", 0.05, 0.45, partial(build, direction=-1), random=False)
+STAIRS = Family("stairs", "stairs up", "rise", "m", 0.01, 0.45, partial(build, direction=1), random=False)
+STAIRS_DOWN = Family("stairs_down", "stairs down", "rise", "m", 0.01, 0.45, partial(build, direction=-1), random=False)

@@ -87,4 +87,4 @@ def _colour(multiple: float) -> tuple[float, float, float]:
     return ACCENT if multiple > 0 else DARK
 
 
-STEPS = Family("steps", "random rectangular steps", "height", "m", 0.02, 0.25, build, random=True)
+STEPS = Family("steps", "random rectangular steps", "height", "m", 0.005, 0.25, build, random=True)
