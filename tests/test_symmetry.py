@@ -1,14 +1,16 @@
-"""The mirror maps undo themselves and commute with the simulation."""
+"""Reflections undo themselves and commute with the simulation, and symmetric networks treat mirror images alike."""
 
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
-from arrive.learning.symmetry import Augmentation, make_mirror
+from arrive.learning.networks import Network
+from arrive.learning.symmetry import make_reflections
 from arrive.presets import PAPER_REWARDS
 
 ACROSS = [1, -1, 1]
@@ -66,9 +68,9 @@ def start_as_mirror_images(env: ArriveEnv, position: tuple[float, float, float],
 def test_a_mirrored_robot_senses_and_earns_what_the_robot_does_mirrored(family, value, position):
     env = two_robots(family, value)
     start_as_mirror_images(env, position, seed=0)
-    mirror, generator = make_mirror(env), torch.Generator().manual_seed(0)
+    mirror, generator = make_reflections(env)[1], torch.Generator().manual_seed(0)
     observation = env.get_observations()[POLICY]
-    sides_differ = False
+    sides_differ = touched = False
     for _ in range(30):
         image = mirror.observation(observation[:1])
         torch.testing.assert_close(observation[1:], image, atol=1e-3, rtol=0.0)
@@ -78,35 +80,89 @@ def test_a_mirrored_robot_senses_and_earns_what_the_robot_does_mirrored(family, 
         action = 0.6 * torch.randn(1, 12, generator=generator)
         observations, rewards, dones, _ = env.step(torch.cat([action, mirror.action(action)]))
         observation = observations[POLICY]
+        touched |= bool(env.state.foot_contacts.any())
         assert not dones.any()
         torch.testing.assert_close(rewards[1], rewards[0], atol=1e-3, rtol=1e-3)
     assert sides_differ == (family != "flat"), "the map of the heights was not put to the test"
-    assert env.state.foot_contacts.any()
+    assert touched
 
 
-def test_mirror_images_of_mirror_images_are_the_originals():
+def test_a_reversed_robot_senses_what_the_robot_does_reversed():
+    """Front-back reflection of states and of the pit's ground, whose image it is, before anything moves."""
+    env = two_robots("pit", 0.4)
+    rng = np.random.default_rng(3)
+    qpos, qvel = np.zeros((2, 19)), rng.normal(0.0, 0.3, (2, 18))
+    quat = np.array([np.cos(0.3), 0.05, -0.02, np.sin(0.3)])
+    qpos[0, :3], qpos[0, 3:7] = (1.013, 0.507, 0.58), quat / np.linalg.norm(quat)
+    qpos[0, 7:] = env.robot.default_joint_pos + rng.normal(0, 0.1, 12)
+    index = {name: i for i, name in enumerate(env.robot.joint_names)}
+    partner = [index[name[0] + {"F": "H", "H": "F"}[name[1]] + name[2:]] for name in env.robot.joint_names]
+    signs = np.array([1 if name.endswith("HAA") else -1 for name in env.robot.joint_names])
+    # A reflection in x turns a rotation about x into itself and those about y and z into their inverses.
+    qpos[1, :7] = qpos[0, :7] * [-1, 1, 1, 1, 1, -1, -1]
+    qpos[1, 7:], qvel[1, 6:] = qpos[0, 7:][partner] * signs, qvel[0, 6:][partner] * signs
+    qvel[1, :6] = qvel[0, :6] * [-1, 1, 1, 1, -1, -1]
+    env.task.command.target_w[0] = torch.tensor([2.0, 3.0, 0.7])
+    env.task.command.target_w[1] = torch.tensor([-2.0, 3.0, 0.7])
+    env.physics.reset(torch.arange(2), torch.from_numpy(qpos), torch.from_numpy(qvel))
+    env.load_state_dict(env.state_dict())
+    observation = env.get_observations()[POLICY]
+    reverse = make_reflections(env)[0]
+    torch.testing.assert_close(observation[1:], reverse.observation(observation[:1]), atol=1e-5, rtol=0.0)
+    assert (observation[0] - observation[1]).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_reflections_of_reflections_are_the_originals(which):
     env = two_robots("flat", 0.0)
-    mirror = make_mirror(env)
+    reflection = make_reflections(env)[which]
     observation, action = torch.randn(5, env.observer.size), torch.randn(5, 12)
-    for original, reflect in ((observation, mirror.observation), (action, mirror.action)):
+    for original, reflect in ((observation, reflection.observation), (action, reflection.action)):
         assert torch.equal(reflect(reflect(original)), original)
         assert not torch.equal(reflect(original), original)
 
 
-def test_the_default_pose_is_its_own_mirror_image():
+@pytest.mark.parametrize("which", [0, 1])
+def test_the_default_pose_is_its_own_image(which):
     env = two_robots("flat", 0.0)
     default = torch.tensor([env.robot.default_joint_pos])
-    assert torch.equal(make_mirror(env).action(default), default)
+    assert torch.equal(make_reflections(env)[which].action(default), default)
 
 
-def test_augmentation_appends_the_mirror_images():
+def network(env: ArriveEnv, outputs: int, **settings) -> Network:
+    sample = TensorDict({POLICY: torch.zeros(1, env.observer.size)}, batch_size=[1])
+    settings = {"hidden_dims": [32, 32], "reflections": make_reflections(env)} | settings
+    return Network(sample, {"actor": [POLICY]}, "actor", outputs, **settings)
+
+
+def answers(model: Network, observation: Tensor) -> Tensor:
+    return model(TensorDict({POLICY: observation}, batch_size=[len(observation)]))
+
+
+@pytest.mark.parametrize("which", [(0,), (1,), (0, 1)])
+@pytest.mark.parametrize("noisy", [True, False])
+def test_symmetric_networks_answer_a_reflected_robot_with_the_reflected_action_and_the_same_value(which, noisy):
     env = two_robots("flat", 0.0)
-    mirror = make_mirror(env)
-    double = Augmentation(mirror)
-    observation, action = torch.randn(3, env.observer.size), torch.randn(3, 12)
-    both, actions = double(env, TensorDict({POLICY: observation}, batch_size=[3]), action)
-    assert both.batch_size == (6,)
-    assert torch.equal(both[POLICY][:3], observation)
-    assert torch.equal(both[POLICY][3:], mirror.observation(observation))
-    assert torch.equal(actions, torch.cat([action, mirror.action(action)]))
-    assert double(env, None, None) == (None, None)
+    distribution = {"class_name": "rsl_rl.modules.distribution:GaussianDistribution", "std_type": "log"}
+    actor = network(env, 12, distribution_cfg=distribution if noisy else None)
+    critic = network(env, 1)
+    observation = torch.randn(64, env.observer.size)
+    image, expected = observation, answers(actor, observation)
+    for number in which:
+        reflection = make_reflections(env)[number]
+        image, expected = reflection.observation(image), reflection.action(expected)
+    if noisy:
+        torch.testing.assert_close(answers(actor, image), expected)
+    torch.testing.assert_close(answers(critic, image), answers(critic, observation))
+    plain = network(env, 12, distribution_cfg=distribution, reflections=())
+    assert not torch.allclose(answers(plain, image), expected, atol=0.01)
+
+
+def test_a_symmetric_network_finds_its_maps_in_its_file():
+    env = two_robots("flat", 0.0)
+    distribution = {"class_name": "rsl_rl.modules.distribution:GaussianDistribution", "std_type": "log"}
+    first = network(env, 12, distribution_cfg=distribution)
+    second = network(env, 12, distribution_cfg=distribution, reflections=2)
+    second.load_state_dict(first.state_dict())
+    observation = torch.randn(8, env.observer.size)
+    assert torch.equal(answers(first, observation), answers(second, observation))

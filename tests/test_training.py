@@ -315,20 +315,6 @@ def test_bootstrapping_adds_the_discounted_value_at_time_outs_alone(tmp_path):
     assert (storage.rewards.squeeze(-1) != rewards)[time_out].all()
 
 
-@pytest.mark.parametrize("symmetry", [False, True])
-def test_symmetry_doubles_every_mini_batch(tmp_path, symmetry):
-    trainer = make_trainer(tmp_path / "run", f"ppo.symmetry={symmetry}")
-    sizes = []
-    trainer.algorithm.critic.register_forward_pre_hook(lambda module, inputs: sizes.append(len(inputs[0][POLICY])))
-    trainer.collect()
-    sizes.clear()
-    losses = trainer.learn()
-    mini_batch = NUM_ENVS * STEPS // 2
-    assert set(sizes) == {2 * mini_batch if symmetry else mini_batch}
-    assert ("symmetry" in losses) == symmetry
-    assert all(math.isfinite(value) for value in losses.values())
-
-
 def test_everything_switched_on_trains(tmp_path):
     settings = ("ppo.symmetry=true", "task.bootstrap_timeouts=true", "task.exploration_kept=0.2")
     train("flat,gap", tmp_path / "run", 3, *settings)

@@ -21,7 +21,9 @@ class Train:
     task: str | None = None
     """Named task, see `arrive list`; the preset's own by default."""
     minutes: float | None = None
-    """Training time since the run began; 40 unless iterations are given [min]."""
+    """Training time since the run began; 40 unless samples or iterations are given [min]."""
+    samples: str | None = None
+    """Policy steps of all robots since the run began, e.g. 40M; repeatable where minutes are not."""
     iterations: int | None = None
     """Training iterations since the run began."""
     num_envs: int | None = None

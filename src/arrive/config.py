@@ -174,6 +174,34 @@ class PPOConfig:
 
 
 @dataclass(frozen=True)
+class ScheduleConfig:
+    """How training changes once a gait is found, and towards its end. Until then `ppo`, `task` and `terrain` hold."""
+
+    enabled: bool = False
+    """Whether anything changes."""
+    climb_std: float = 0.4
+    """Bound on the action noise's standard deviation while the levels rise; it falls from this to `finish_std`."""
+    climb_entropy: float = 0.0
+    """Weight of the entropy bonus while the levels rise."""
+    climb_kl: float = 0.02
+    """KL divergence per update while the levels rise."""
+    climb_crash_cost: float = 6.0
+    """What a crash costs while the levels rise."""
+    climb_review: float = 0.25
+    """Share of the episodes on a random easier level while the levels rise."""
+    finish_from: float = 0.75
+    """Share of the budget at which the finish begins; 1 for none."""
+    finish_std: float = 0.15
+    """Bound on the action noise's standard deviation in the end."""
+    finish_kl: float = 0.01
+    """KL divergence per update in the end."""
+    finish_crash_cost: float = 10.0
+    """What a crash costs in the end."""
+    finish_review: float = 0.5
+    """Share of the episodes on a random easier level in the end."""
+
+
+@dataclass(frozen=True)
 class Config:
     """Everything that decides what a run does."""
 
@@ -188,6 +216,7 @@ class Config:
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 
 
 def to_dict(config: Any) -> dict[str, Any]:

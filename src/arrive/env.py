@@ -87,6 +87,10 @@ class ArriveEnv(VecEnv):
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
         self._generator = generator
         self._assignment, self._learning = assignment, assignment is None
+        self.review = config.terrain.review
+        """Share of the episodes on an easier level than the robot's own; a schedule may change it."""
+        self.crash_cost = config.task.rewards.get(CRASH_COST, 0.0)
+        """Weight of a crash; a schedule may change it."""
         self.final_observations = False
         """Whether to take down the last observation of every episode, which costs a second look at all robots."""
         self._terms = _weighted_terms(task, config.task.rewards)
@@ -303,7 +307,7 @@ class ArriveEnv(VecEnv):
             factor = exploration if name in EXPLORATION_REWARDS else 1.0
             terms[name] = function(state, command, self.config.task) * (weight * factor * dt)
         if CRASH_COST in self.config.task.rewards:
-            terms[CRASH_COST] = self._failed * self.config.task.rewards[CRASH_COST]
+            terms[CRASH_COST] = self._failed * self.crash_cost
         if not bool(self._finite.all()):
             terms = {name: torch.where(self._finite, value, 0.0) for name, value in terms.items()}
         share, weight = self.task.task_share(state, self._failed)
@@ -335,7 +339,7 @@ class ArriveEnv(VecEnv):
             self._reset(ids, first=False)
 
     def _reset(self, ids: Tensor, first: bool) -> None:
-        levels = self.curriculum.deal(ids, self.config.terrain.review if self._learning else 0.0)
+        levels = self.curriculum.deal(ids, self.review if self._learning else 0.0)
         self._buffers["level"][ids] = levels
         worlds = self._choose_worlds(ids, levels)
         self.physics.place(ids, worlds)

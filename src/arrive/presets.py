@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from arrive.config import Config, ObservationConfig, PPOConfig, TaskConfig
+from arrive.config import Config, ObservationConfig, PPOConfig, ScheduleConfig, TaskConfig, TerrainConfig
 from arrive.errors import unknown_name
 
 PAPER_REWARDS = {
@@ -34,24 +34,29 @@ def robust() -> Config:
     return Config(
         preset="robust",
         num_envs=1024,
+        terrain=TerrainConfig(levels=30),
         observation=ObservationConfig(height_scale=2.0, grid_length=2.0, grid_width=1.25, grid_step=0.125),
         task=TaskConfig(
             episode_s=8.0,
             episode_min_s=5.0,
             reward_window_s=2.0,
-            exploration_kept=0.3,
-            demotion="far",
-            rewards=PAPER_REWARDS | {"exploration": 0.0, "approach": 2.0, "crash_cost": -2.0},
+            target_distance=(0.5, 5.5),
+            crossing_share=0.6,
+            exploration_kept=1.0,
+            approach_radius=0.2,
+            demotion_share=0.5,
+            rewards=PAPER_REWARDS | {"exploration": 0.0, "approach": 2.0, "stand": 10.0, "crash_cost": -2.0},
         ),
         ppo=PPOConfig(
-            num_steps=12,
+            num_steps=24,
             gamma=0.995,
             desired_kl=0.02,
-            entropy_after=0.001,
             init_std=0.5,
             hidden=(256, 128, 64),
             precision="auto",
+            symmetry=True,
         ),
+        schedule=ScheduleConfig(enabled=True),
     )
 
 

@@ -33,7 +33,7 @@ DEFAULT_MINUTES = 40.0
 def train(command: Train) -> None:
     """Train a new run or continue one."""
     threads = use_threads(command.threads)
-    minutes, iterations = _budget(command)
+    minutes, iterations, samples = _budget(command)
     device = choose_device(command.device)
     ranks = join_ranks(device)
     # Rank 0 alone makes the folder; the others take what it has found.
@@ -51,6 +51,8 @@ def train(command: Train) -> None:
             device,
         )
     trainer = Trainer(config, env, folder, ranks)
+    if samples is not None:
+        iterations = math.ceil(samples / trainer.batch)
     before = 0
     if command.resume:
         trainer.load()
@@ -88,13 +90,27 @@ def _train_and_show(
     print(f"run: {folder} ({trainer.iteration} iterations, {trainer.samples / 1e6:.1f} M samples)")
 
 
-def _budget(command: Train) -> tuple[float | None, int | None]:
-    for name, value in (("minutes", command.minutes), ("iterations", command.iterations)):
+def _budget(command: Train) -> tuple[float | None, int | None, float | None]:
+    """Minutes, iterations and samples; whichever is spent first ends the run."""
+    samples = None if command.samples is None else _parse_samples(command.samples)
+    budget = {"minutes": command.minutes, "iterations": command.iterations, "samples": samples}
+    for name, value in budget.items():
         if value is not None and not 0 < value < math.inf:
             raise ArriveError(f"--{name} must be positive, not {value}")
-    if command.minutes is None and command.iterations is None:
-        return DEFAULT_MINUTES, None
-    return command.minutes, command.iterations
+    if samples is not None and command.iterations is not None:
+        raise ArriveError("give --samples or --iterations, not both")
+    if all(value is None for value in budget.values()):
+        return DEFAULT_MINUTES, None, None
+    return command.minutes, command.iterations, samples
+
+
+def _parse_samples(text: str) -> float:
+    """The number that 40M, 500k or 1e6 stands for."""
+    factor = {"k": 1e3, "M": 1e6, "G": 1e9}.get(text[-1:], 1.0)
+    try:
+        return float(text[:-1] if factor > 1.0 else text) * factor
+    except ValueError:
+        raise ArriveError(f"--samples must be a number such as 40M, 500k or 1e6, not {text!r}") from None
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:

@@ -28,6 +28,7 @@ from arrive.learning.ppo import make_ppo
 from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.report import IterationReport
 from arrive.learning.rundir import commit
+from arrive.learning.schedule import Settings, settings
 from arrive.learning.statistics import TrainingStatistics
 from arrive.learning.threads import one_torch_thread
 from arrive.task.curriculum import deal_families
@@ -63,6 +64,7 @@ class Trainer:
         self._statistics = TrainingStatistics(env)
         self.iteration, self.samples, self.elapsed_s = 0, 0, 0.0
         self._recoveries = 0
+        self._settings: Settings | None = None
         self._good = self._snapshot()
 
     def train(
@@ -94,6 +96,7 @@ class Trainer:
         Returns:
             False where a number was none: training went back to the last good state.
         """
+        self._follow_schedule(min(self._budget(minutes, iterations), 1.0))
         result = self._guarded_iteration()
         if result is not None:
             report(self._report(*result, minutes, iterations))
@@ -120,12 +123,12 @@ class Trainer:
         seconds = time.monotonic() - start
         self._average.take()
         self.iteration += 1
-        self.samples += self._batch
+        self.samples += self.batch
         self.elapsed_s += seconds
         return rewards, losses, seconds
 
     @property
-    def _batch(self) -> int:
+    def batch(self) -> int:
         """Policy steps per iteration, of all processes."""
         return self.env.num_envs * self.config.ppo.num_steps * self.ranks.count
 
@@ -187,10 +190,24 @@ class Trainer:
         """Learn from what was collected; the losses and what else the update has to report."""
         config, exploring = self.config.ppo, self.env.exploration.paid
         self.algorithm.entropy_coef = config.entropy_after + exploring * (config.entropy - config.entropy_after)
+        if self._settings is not None:
+            self.algorithm.entropy_coef = self._settings.entropy
+            self.algorithm.desired_kl = self._settings.desired_kl
         losses = self.algorithm.update()
         check_losses(losses, self._parameters())
-        std = float(self.algorithm.get_policy().distribution.log_std_param.detach().exp().mean())
+        log_std = self.algorithm.get_policy().distribution.log_std_param
+        if self._settings is not None and math.isfinite(self._settings.max_std):
+            log_std.data.clamp_(max=math.log(self._settings.max_std))
+        std = float(log_std.detach().exp().mean())
         return losses | {"learning_rate": self.algorithm.learning_rate, "action_std": std}
+
+    def _follow_schedule(self, spent: float) -> None:
+        """Set what the schedule says for the next iteration."""
+        if not self.config.schedule.enabled:
+            return
+        self._settings = settings(self.config, spent, self.env.exploration.paid)
+        self.env.review = self._settings.review
+        self.env.crash_cost = -self._settings.crash_cost
 
     def _parameters(self) -> dict[str, torch.Tensor]:
         networks = {"actor": self.algorithm.get_policy(), "critic": self.algorithm.critic}
@@ -223,7 +240,7 @@ class Trainer:
             elapsed_s=self.elapsed_s,
             budget=min(spent, 1.0),
             time_left_s=self.elapsed_s * max(1.0 / spent - 1.0, 0.0) if spent else float("nan"),
-            samples_per_s=self._batch / seconds,
+            samples_per_s=self.batch / seconds,
             arrival=self._statistics.arrival(),
             exploration_paid=self.env.exploration_paid,
             task_fraction=self.env.exploration.fraction,
