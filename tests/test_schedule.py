@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -24,7 +25,7 @@ def test_while_a_gait_is_sought_the_configuration_holds():
 def test_noise_falls_and_crashes_grow_dearer_and_nothing_jumps():
     shares = [i / 200 for i in range(201)]
     run = [settings(CONFIG, spent, seeking=0.0) for spent in shares]
-    for before, after in zip(run, run[1:], strict=False):
+    for before, after in pairwise(run):
         assert after.max_std <= before.max_std
         assert after.crash_cost >= before.crash_cost
         assert after.review >= before.review
