@@ -1,10 +1,9 @@
 """Results that commands write."""
 
-import json
 from pathlib import Path
 from typing import Any
 
-from arrive.errors import ArriveError
+from arrive import files
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
@@ -13,9 +12,5 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     Raises:
         ArriveError: it cannot be written.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content, indent=2) + "\n")
-    except OSError as error:
-        raise ArriveError(f"cannot write {path}: {error}") from error
+    files.write_json(path, content)
     print(f"result: {path}")

@@ -1,0 +1,111 @@
+"""Files that are written whole or not at all."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from arrive.errors import ArriveError
+
+TEMPORARY = ".tmp"
+"""Part of the names of files that are not complete yet: `.NAME.RANDOM.tmp` and the suffix of NAME."""
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Yield a file to write in place of `path`, which it replaces once it is complete and on the disk.
+
+    A failure, an interrupt, a kill or a full disk at any moment leaves what was at `path` as it was. The folder is made
+    where there is none. What is no regular file, like /dev/stdout, is written directly.
+
+    Raises:
+        ArriveError: it cannot be written.
+    """
+    try:
+        path = Path(os.path.realpath(path))
+        if path.exists() and not path.is_file():
+            if path.is_dir():
+                raise IsADirectoryError("it is a folder")
+            yield path
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=f"{TEMPORARY}{path.suffix}")
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            _finish(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def _finish(temporary: Path, path: Path) -> None:
+    """Put a complete file in its place, with the permissions of the one that was there."""
+    with temporary.open("rb") as file:
+        os.fsync(file.fileno())
+    os.chmod(temporary, path.stat().st_mode & 0o777 if path.exists() else 0o644)
+    os.replace(temporary, path)
+
+
+def cannot_write(path: Path, error: OSError) -> ArriveError:
+    """The error for a file that cannot be written."""
+    return ArriveError(f"cannot write {path}: {error.strerror or error}. Free some space or choose another folder.")
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all; see `whole`."""
+    with whole(path) as file:
+        file.write_bytes(data)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a UTF-8 file whole or not at all; see `whole`."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write data as JSON, whole or not at all; see `whole`."""
+    write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def read_text(path: Path) -> str:
+    """A UTF-8 file's text.
+
+    Raises:
+        ArriveError: there is none, or it is no text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ArriveError(f"cannot read {path}: {_reason(error)}") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON file's content, which must be an object.
+
+    Raises:
+        ArriveError: it cannot be read, with the line where it goes wrong.
+    """
+    try:
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise ArriveError(f"cannot read {path}: it is not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise ArriveError(f"cannot read {path}: it must hold an object, {{...}}, not {type(content).__name__}")
+    return content
+
+
+def _reason(error: OSError | UnicodeDecodeError) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what a killed process has left of files that it was writing; only for who alone writes to the folder."""
+    for path in folder.glob(f".*{TEMPORARY}*"):
+        path.unlink(missing_ok=True)

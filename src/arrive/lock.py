@@ -1,0 +1,124 @@
+"""A lock that says who holds it, for files and folders that only one process may write."""
+
+import fcntl
+import json
+import os
+import socket
+from pathlib import Path
+from types import TracebackType
+
+from arrive.errors import ArriveError
+from arrive.files import cannot_write
+
+
+class Lock:
+    """Context manager around a file that names the owner's process and host; it is gone when the owner ends.
+
+    The kernel's lock on the file (`flock`) ends with the process that holds it, however that ends, so that a file that
+    was left behind is taken over. What a process on another host has left is never taken: from here nobody can tell
+    whether that one is alive.
+    """
+
+    def __init__(self, path: Path, what: str):
+        """
+        Args:
+            path: of the lock file.
+            what: it guards, for messages.
+        """
+        self.path, self._what = path, what
+        self._handle: int | None = None
+
+    @property
+    def handle(self) -> int:
+        """The file descriptor; a child process that inherits it holds the lock too."""
+        if self._handle is None:
+            raise RuntimeError(f"{self.path} is not held")
+        return self._handle
+
+    def acquire(self) -> None:
+        """Take the lock.
+
+        Raises:
+            ArriveError: somebody else holds it, or the file cannot be written.
+        """
+        try:
+            while self._handle is None:
+                self._try()
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+
+    def _try(self) -> None:
+        """Lock the file, unless its owner removed it between our opening and locking it."""
+        handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise self._held_by_another(os.pread(handle, 4096, 0)) from None
+            if not self._is_at_path(handle):
+                os.close(handle)
+                return
+            self._take(handle)
+        except BaseException:
+            os.close(handle)
+            raise
+        self._handle = handle
+
+    def _take(self, handle: int) -> None:
+        """Write our name into the file, in place of that of a process that has ended."""
+        _, host = _owner(os.pread(handle, 4096, 0))
+        if host not in (None, socket.gethostname()):
+            raise self._held_by_another(os.pread(handle, 4096, 0))
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode(), 0)
+
+    def _held_by_another(self, content: bytes) -> ArriveError:
+        pid, host = _owner(content)
+        message = f"{self._what} is in use by process {pid or '(unknown)'}"
+        if host in (None, socket.gethostname()):
+            return ArriveError(f"{message}. Wait for it, or end it by Ctrl-C or `kill {pid or 'PID'}`.")
+        return ArriveError(f"{message} on {host}. If that one has ended, delete {self.path} and try again.")
+
+    def _is_at_path(self, handle: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(handle), os.stat(self.path))
+        except FileNotFoundError:
+            return False
+
+    def check(self) -> None:
+        """Make sure that the file is still there, and so that what it guards is still ours.
+
+        Raises:
+            ArriveError: somebody has removed or replaced it.
+        """
+        if not self._is_at_path(self.handle):
+            raise ArriveError(f"{self.path} was removed while {self._what} was in use; nothing more is written there")
+
+    def release(self) -> None:
+        """Remove the file and give the lock up."""
+        if self._handle is None:
+            return
+        try:
+            if self._is_at_path(self._handle):
+                self.path.unlink(missing_ok=True)
+        except OSError:  # a disk that has become read-only: the lock ends with the handle
+            pass
+        finally:
+            os.close(self._handle)
+            self._handle = None
+
+    def __enter__(self) -> "Lock":
+        self.acquire()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+        self.release()
+
+
+def _owner(content: bytes) -> tuple[int | None, str | None]:
+    """Process and host in a lock file; None where its owner was killed before it had written them."""
+    try:
+        owner = json.loads(content)
+        return int(owner["pid"]), str(owner["host"])
+    except (ValueError, KeyError, TypeError):
+        return None, None

@@ -1,0 +1,109 @@
+"""A lock: one holder, whose death ends it and whose name it tells."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from arrive.errors import ArriveError
+from arrive.lock import Lock
+
+HOLDER = """
+import pathlib, sys, time
+from arrive.lock import Lock
+with Lock(pathlib.Path(sys.argv[1]), "the run"):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process that holds the lock."""
+    process = subprocess.Popen([sys.executable, "-c", HOLDER, tmp_path / "run.lock"], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_a_lock_names_its_holder_and_is_gone_in_the_end(tmp_path):
+    path = tmp_path / "run.lock"
+    with Lock(path, "the run"):
+        assert json.loads(path.read_text()) == {"pid": os.getpid(), "host": socket.gethostname()}
+        with pytest.raises(ArriveError, match=rf"the run is in use by process {os.getpid()}\."):
+            Lock(path, "the run").acquire()
+    assert not path.exists()
+    with Lock(path, "the run"):
+        pass
+
+
+def test_a_living_process_keeps_its_lock_and_a_killed_one_loses_it(tmp_path, holder):
+    lock = Lock(tmp_path / "run.lock", "the run")
+    with pytest.raises(ArriveError, match=rf"in use by process {holder.pid}\..*kill {holder.pid}"):
+        lock.acquire()
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    assert lock.path.exists(), "nothing was there to be taken over"
+    with lock:
+        assert json.loads(lock.path.read_text())["pid"] == os.getpid()
+
+
+def test_a_number_that_another_process_has_now_does_not_keep_a_lock(tmp_path):
+    """The owner died, and its process id was given to somebody else: here to ourselves."""
+    path = tmp_path / "run.lock"
+    path.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
+    with Lock(path, "the run"):
+        pass
+
+
+def test_what_another_host_holds_is_never_taken(tmp_path):
+    path = tmp_path / "run.lock"
+    path.write_text(json.dumps({"pid": 77, "host": "elsewhere"}))
+    with pytest.raises(ArriveError, match=r"process 77 on elsewhere\. If that one has ended, delete .*run\.lock"):
+        Lock(path, "the run").acquire()
+    assert json.loads(path.read_text())["host"] == "elsewhere"
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"pid": "x"}', "\x00\xff"])
+def test_an_unreadable_lock_that_nobody_holds_is_taken(tmp_path, content):
+    """Its owner was killed before it had written its name."""
+    path = tmp_path / "run.lock"
+    path.write_text(content)
+    with Lock(path, "the run"):
+        assert json.loads(path.read_text())["pid"] == os.getpid()
+
+
+def test_a_child_that_inherits_it_holds_it_on(tmp_path):
+    lock = Lock(tmp_path / "run.lock", "the run")
+    lock.acquire()
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock.handle])
+    os.close(lock.handle)  # as when we are killed
+    try:
+        with pytest.raises(ArriveError, match="in use"):
+            Lock(lock.path, "the run").acquire()
+    finally:
+        child.communicate(b"\n", timeout=60)
+    with Lock(lock.path, "the run"):
+        pass
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_the_holder_notices_that_its_folder_was_removed(tmp_path, replaced):
+    with Lock(tmp_path / "run.lock", "the run") as lock:
+        lock.check()
+        lock.path.unlink()
+        if replaced:
+            lock.path.write_text("another's")
+        with pytest.raises(ArriveError, match=r"run\.lock was removed while the run was in use"):
+            lock.check()
+    assert lock.path.exists() == replaced, "another's lock was removed"
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(ArriveError, match=r"cannot write .*nowhere/run\.lock"):
+        Lock(tmp_path / "nowhere" / "run.lock", "the run").acquire()
