@@ -17,7 +17,7 @@ from arrive.config import override
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
 from arrive.evaluation.closed_loop import compare, describe
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 from arrive.policies import open_policy
 from arrive.terrain import parse_families
 

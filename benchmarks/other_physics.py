@@ -18,7 +18,7 @@ import tyro
 
 from arrive.commands.threads import use_threads
 from arrive.evaluation.arrival import cells_of, evaluate
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 from arrive.physics.device import DeviceWish, choose_device
 from arrive.physics.options import PhysicsConfig
 from arrive.terrain import parse_families

@@ -8,7 +8,7 @@ import torch
 from arrive.build import Placement, build_env
 from arrive.config import Config, override
 from arrive.learning.ranks import Ranks, join_ranks
-from arrive.learning.trainer import Trainer
+from arrive.learning.trainer import Budget, Trainer
 from arrive.presets import robust
 
 CONFIG = override(
@@ -34,7 +34,7 @@ def make_trainer(ranks: Ranks, folder: Path, config: Config = CONFIG) -> Trainer
 
 def parameters(trainer: Trainer) -> dict[str, torch.Tensor]:
     """Every network parameter by name, copied."""
-    return {name: value.detach().clone() for name, value in trainer._parameters().items()}
+    return {name: value.detach().clone() for name, value in trainer.state.parameters().items()}
 
 
 def one_update(ranks: Ranks, folder: Path) -> None:
@@ -44,26 +44,26 @@ def one_update(ranks: Ranks, folder: Path) -> None:
     reduce = trainer.algorithm.reduce_parameters
 
     def recording() -> None:
-        gradients.update({name: value.grad.clone() for name, value in trainer._parameters().items()})
+        gradients.update({name: value.grad.clone() for name, value in trainer.state.parameters().items()})
         reduce()
 
     trainer.algorithm.reduce_parameters = recording
-    trainer.train(None, 1, lambda result: None)
+    trainer.train(Budget(iterations=1), lambda result: None)
     torch.save({"before": before, "gradients": gradients, "after": parameters(trainer)}, folder / f"{ranks.rank}.pt")
 
 
 def resume(ranks: Ranks, folder: Path) -> None:
     """Train two iterations, and one with another one after a resume."""
     whole = make_trainer(ranks, folder / "whole")
-    whole.train(None, 2, lambda result: None)
-    make_trainer(ranks, folder / "parts").train(None, 1, lambda result: None)
+    whole.train(Budget(iterations=2), lambda result: None)
+    make_trainer(ranks, folder / "parts").train(Budget(iterations=1), lambda result: None)
     resumed = make_trainer(ranks, folder / "parts")
     ranks.any(False)  # wait until the first process has written the checkpoint
     resumed.load()
-    resumed.train(None, 2, lambda result: None)
-    observations = [trainer._observations["policy"] for trainer in (whole, resumed)]
+    resumed.train(Budget(iterations=2), lambda result: None)
+    observations = [trainer.state.observations["policy"] for trainer in (whole, resumed)]
     content = {"parameters": [parameters(whole), parameters(resumed)], "observations": observations}
-    torch.save(content | {"samples": resumed.samples}, folder / f"{ranks.rank}.pt")
+    torch.save(content | {"samples": resumed.state.samples}, folder / f"{ranks.rank}.pt")
 
 
 def spoil(ranks: Ranks, folder: Path) -> None:
@@ -80,8 +80,8 @@ def spoil(ranks: Ranks, folder: Path) -> None:
         return observations, rewards, dones, extras
 
     trainer.env.step = spoiling
-    trainer.train(None, 2, lambda result: None)
-    torch.save({"after": parameters(trainer), "iteration": trainer.iteration}, folder / f"{ranks.rank}.pt")
+    trainer.train(Budget(iterations=2), lambda result: None)
+    torch.save({"after": parameters(trainer), "iteration": trainer.state.iteration}, folder / f"{ranks.rank}.pt")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Checkpoints: written whole or not at all, read without executing anything, refused with a reason."""
+"""Checkpoints and policies: sealed, read without executing anything, refused with a reason."""
 
-import errno
+import math
 import os
 import pickle
-import shutil
-import subprocess
-import sys
+import signal
+from random import Random
 
 import pytest
 import torch
@@ -13,17 +12,19 @@ import torch
 from arrive.build import build_env
 from arrive.config import override
 from arrive.errors import ArriveError
-from arrive.evaluation.policy import load_policy
 from arrive.learning import checkpoint
 from arrive.learning.checkpoint import (
     CHECKPOINT_NAME,
     FORMAT,
     POLICY_NAME,
     check_schema,
-    load_checked,
-    save_atomically,
+    is_sealed,
+    load_checkpoint,
+    load_policy_file,
+    save_sealed,
 )
-from arrive.learning.rundir import new_run_folder, write_config
+from arrive.learning.policy import load_policy
+from arrive.learning.rundir import write_config
 from arrive.learning.trainer import Trainer
 from arrive.presets import get_preset
 
@@ -49,80 +50,142 @@ def run(tmp_path_factory):
 
 
 def changed_copy(path, folder, **changes):
-    """A copy of a saved file in another folder, with entries replaced."""
+    """A sealed copy of a saved file in another folder, with entries replaced."""
     content = torch.load(path, weights_only=True) | changes
-    torch.save(content, folder / path.name)
+    save_sealed(content, folder / path.name)
     return folder / path.name
+
+
+def load(path):
+    """Read a file as what its name says that it is."""
+    return (load_policy_file if path.name == POLICY_NAME else load_checkpoint)(path)
 
 
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_what_is_saved_is_read_back(tmp_path):
-    path = tmp_path / "new" / "folder" / "checkpoint.pt"
-    save_atomically(CONTENT, path)
-    content = load_checked(path)
-    assert content["schema"] == CONTENT["schema"]
-    assert torch.equal(content["weights"], CONTENT["weights"])
-    assert names(path.parent) == ["checkpoint.pt"]
+def test_what_is_saved_is_read_back(run):
+    trainer = trainer_in(run)
+    origin, weights = load_policy_file(run / POLICY_NAME)
+    assert (origin.robot, origin.config, origin.samples) == ("anymal_c", CONFIG, 0)
+    assert origin.schema == trainer.env.observer.schema()
+    _, state = load_checkpoint(run / CHECKPOINT_NAME)
+    for name, value in state["algorithm"]["actor_state_dict"].items():
+        assert torch.equal(weights[name], value)
 
 
-class Stop(BaseException):
-    """Not an Exception, as a keyboard interrupt."""
+def test_a_sealed_file_stays_one_that_torch_can_read(tmp_path):
+    save_sealed(CONTENT, tmp_path / "policy.pt")
+    assert torch.equal(torch.load(tmp_path / "policy.pt", weights_only=True)["weights"], CONTENT["weights"])
+    assert is_sealed((tmp_path / "policy.pt").read_bytes())
+
+
+def test_a_failure_of_torch_while_saving_leaves_the_old_file(tmp_path, monkeypatch):
+    save_sealed(CONTENT, tmp_path / "policy.pt")
+    before = (tmp_path / "policy.pt").read_bytes()
+    monkeypatch.setattr(checkpoint.torch, "save", lambda content, file: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        save_sealed({}, tmp_path / "policy.pt")
+    assert (tmp_path / "policy.pt").read_bytes() == before
+    assert names(tmp_path) == ["policy.pt"]
+
+
+def test_a_thousand_flipped_bits_are_all_noticed(run, tmp_path):
+    """Half of them anywhere, half of them in the last kilobyte, where the zip's directory and the digest are."""
+    data, random = (run / POLICY_NAME).read_bytes(), Random(1)
+    path = tmp_path / POLICY_NAME
+    bits = [random.randrange(8 * len(data)) for _ in range(500)]
+    bits += [8 * len(data) - 1 - random.randrange(8 * 1024) for _ in range(500)]
+    assert is_sealed(data)
+    assert not any(is_sealed(flipped(data, bit)) for bit in bits)
+    for bit in bits[::20]:
+        path.write_bytes(flipped(data, bit))
+        with pytest.raises(ArriveError, match=r"cannot read .*policy\.pt.* corrupt"):
+            load_policy(path)
+
+
+def flipped(data: bytes, bit: int) -> bytes:
+    changed = bytearray(data)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+def damaged(weights: dict, change) -> dict:
+    """The weights with one of them changed."""
+    name = next(iter(weights))
+    return weights | {name: change(weights[name].clone())}
+
+
+def with_value(value: float):
+    return lambda tensor: tensor.index_fill_(0, torch.tensor([0]), value)
+
+
+BAD_WEIGHTS = {
+    "NaN": (with_value(math.nan), "not finite"),
+    "infinite": (with_value(-math.inf), "not finite"),
+    "complex": (lambda tensor: tensor.to(torch.complex64), "complex64, not torch.float32"),
+    "float64": (lambda tensor: tensor.double(), "float64, not torch.float32"),
+    "integer": (lambda tensor: tensor.long(), "int64, not torch.float32"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_WEIGHTS)
+def test_a_sealed_file_with_bad_weights_is_refused(run, tmp_path, kind):
+    change, word = BAD_WEIGHTS[kind]
+    actor = torch.load(run / POLICY_NAME, weights_only=True)["actor"]
+    path = changed_copy(run / POLICY_NAME, tmp_path, actor=damaged(actor, change))
+    with pytest.raises(ArriveError, match=rf"policy\.pt is damaged: .*{word}"):
+        load_policy(path)
+    state = torch.load(run / CHECKPOINT_NAME, weights_only=True)["state"]
+    algorithm = state["algorithm"]
+    algorithm["critic_state_dict"] = damaged(algorithm["critic_state_dict"], change)
+    path = changed_copy(run / CHECKPOINT_NAME, tmp_path, state=state)
+    with pytest.raises(ArriveError, match=rf"checkpoint\.pt is damaged: critic_state_dict.*{word}"):
+        load_checkpoint(path)
 
 
 @pytest.mark.parametrize(
-    ("failure", "raised"),
+    "changes",
     [
-        (OSError(errno.ENOSPC, "No space left on device"), ArriveError),
-        (RuntimeError("PytorchStreamWriter failed writing file"), ArriveError),
-        (KeyboardInterrupt(), KeyboardInterrupt),
-        (Stop(), Stop),
+        {"robot": None},
+        {"robot": ["anymal_c"]},
+        {"config": "paper"},
+        {"config": {"ppo": 3}},
+        {"config": {"nonsense": 3}},
+        {"schema": []},
+        {"schema": [1, 2]},
+        {"schema": [{"name": "height"}]},
+        {"schema": None},
+        {"samples": "many"},
+        {"commit": 3},
+        {"iteration": None},
+        {"actor": None},
+        {"actor": {}},
+        {"actor": [1.0]},
+        {"actor": {"mlp.0.weight": torch.ones(8, 3)}},
+        {"actor": {"distribution.log_std_param": torch.ones(12)}},
+        {"actor": {"distribution.log_std_param": torch.tensor(1.0)}},
+        {"actor": {"distribution.log_std_param": 3}},
     ],
-    ids=["disk full", "torch's own error", "interrupt", "exit"],
+    ids=str,
 )
-def test_a_failure_while_writing_leaves_the_old_file_whole(tmp_path, monkeypatch, failure, raised):
-    path = tmp_path / "checkpoint.pt"
-    save_atomically(CONTENT, path)
-    before = path.read_bytes()
-    saved = []
-
-    def write_half(content, file):
-        file.write(before[: len(before) // 2])
-        file.flush()
-        saved.extend(names(tmp_path))
-        raise failure
-
-    monkeypatch.setattr(checkpoint.torch, "save", write_half)
-    with pytest.raises(raised):
-        save_atomically({"format": FORMAT}, path)
-    assert len(saved) == 2, "the half file was meant to exist beside the old one"
-    assert names(tmp_path) == ["checkpoint.pt"]
-    assert path.read_bytes() == before
+def test_a_sealed_file_whose_entries_make_no_sense_is_refused(run, tmp_path, changes):
+    path = changed_copy(run / POLICY_NAME, tmp_path, **changes)
+    with pytest.raises(ArriveError) as refused:
+        load_policy(path)
+    assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("function", ["replace", "fsync", "fdopen"])
-def test_a_full_disk_at_any_moment_is_an_error_that_says_so(tmp_path, monkeypatch, function):
-    path = tmp_path / "checkpoint.pt"
-    save_atomically(CONTENT, path)
-    before = path.read_bytes()
-
-    def full(*args, **options):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(checkpoint.os, function, full)
-        with pytest.raises(ArriveError, match=r"checkpoint\.pt.*No space left.*space"):
-            save_atomically({"format": FORMAT}, path)
-    assert path.read_bytes() == before
-    assert names(tmp_path) == ["checkpoint.pt"]
-
-
-def test_a_folder_that_cannot_be_written_is_an_error_that_names_the_file(tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(ArriveError, match=r"file/run/checkpoint\.pt"):
-        save_atomically(CONTENT, tmp_path / "file" / "run" / "checkpoint.pt")
+@pytest.mark.parametrize(
+    "state", [None, {}, [], {"algorithm": None}, {"algorithm": {}}, {"algorithm": {"a": torch.ones(2)}}], ids=str
+)
+def test_a_checkpoint_whose_state_makes_no_sense_is_neither_resumed_nor_started_from(run, tmp_path, state):
+    changed_copy(run / CHECKPOINT_NAME, tmp_path, state=state)
+    trainer = trainer_in(tmp_path)
+    for way in (trainer.load, lambda: trainer.warm_start(tmp_path / CHECKPOINT_NAME)):
+        with pytest.raises(ArriveError, match=r"checkpoint\.pt"):
+            way()
 
 
 @pytest.mark.parametrize("name", [CHECKPOINT_NAME, POLICY_NAME])
@@ -131,21 +194,22 @@ def test_a_truncated_file_is_refused(run, tmp_path, name, share):
     data = (run / name).read_bytes()
     (tmp_path / name).write_bytes(data[: int(share * len(data))])
     with pytest.raises(ArriveError, match=rf"{name}.*truncated"):
-        load_checked(tmp_path / name)
+        load(tmp_path / name)
 
 
 @pytest.mark.parametrize("content", [b"hello, world\n" * 50, b"\x89PNG\r\n\x1a\n" + bytes(100), bytes(5000)])
 def test_a_file_of_another_kind_is_refused(tmp_path, content):
     (tmp_path / "policy.pt").write_bytes(content)
     with pytest.raises(ArriveError, match="not a checkpoint of arrive"):
-        load_checked(tmp_path / "policy.pt")
+        load_policy_file(tmp_path / "policy.pt")
 
 
 @pytest.mark.parametrize("content", [{"model_state_dict": {}, "iter": 3}, [1, 2], torch.ones(3), {"format": FORMAT}])
-def test_a_file_that_torch_can_read_but_is_not_ours_is_refused(tmp_path, content):
-    torch.save(content, tmp_path / "policy.pt")
+@pytest.mark.parametrize("sealed", [False, True])
+def test_a_file_that_torch_can_read_but_is_not_ours_is_refused(tmp_path, content, sealed):
+    (save_sealed if sealed else torch.save)(content, tmp_path / "policy.pt")
     with pytest.raises(ArriveError, match="not a checkpoint of arrive"):
-        load_checked(tmp_path / "policy.pt")
+        load_policy_file(tmp_path / "policy.pt")
 
 
 class Malicious:
@@ -158,18 +222,18 @@ class Malicious:
         return os.system, (f"touch '{self.target}'",)
 
 
-@pytest.mark.parametrize("legacy", [False, True], ids=["zip", "pickle"])
-def test_code_in_a_file_is_not_executed(tmp_path, legacy):
+@pytest.mark.parametrize("kind", ["zip", "sealed", "pickle"])
+def test_code_in_a_file_is_not_executed(tmp_path, kind):
     target, path = tmp_path / "executed", tmp_path / "policy.pt"
     content = CONTENT | {"extra": Malicious(target)}
-    if legacy:
+    if kind == "pickle":
         path.write_bytes(pickle.dumps(content, protocol=2))
     else:
-        torch.save(content, path)
-    with pytest.raises(ArriveError, match=r"cannot read .*policy\.pt"):
+        (save_sealed if kind == "sealed" else torch.save)(content, path)
+    with pytest.raises(ArriveError, match=r"policy\.pt.* not a checkpoint of arrive"):
         load_policy(path)
     assert not target.exists()
-    torch.load(path, weights_only=False) if not legacy else pickle.loads(path.read_bytes())
+    pickle.loads(path.read_bytes()) if kind == "pickle" else torch.load(path, weights_only=False)
     assert target.exists(), "the file would have done nothing anyway"
 
 
@@ -183,7 +247,7 @@ def test_a_newer_format_is_refused_with_both_numbers(run, tmp_path):
     for name in (CHECKPOINT_NAME, POLICY_NAME):
         path = changed_copy(run / name, tmp_path, format=FORMAT + 1)
         with pytest.raises(ArriveError, match=rf"format {FORMAT + 1}, this version reads {FORMAT}"):
-            load_checked(path)
+            load(path)
 
 
 def trainer_in(folder, *changes):
@@ -224,12 +288,12 @@ def test_a_training_checkpoint_is_not_taken_for_a_policy(run):
 
 
 def test_networks_that_do_not_fit_the_configuration_are_refused(run, tmp_path):
-    path = changed_copy(run / POLICY_NAME, tmp_path)
-    content = torch.load(path, weights_only=True)
+    content = torch.load(run / POLICY_NAME, weights_only=True)
     content["config"]["ppo"]["hidden"] = [9]
-    torch.save(content, path)
-    with pytest.raises(ArriveError, match="do not fit"):
-        load_policy(path)
+    save_sealed(content, tmp_path / POLICY_NAME)
+    with pytest.raises(ArriveError, match="do not fit") as refused:
+        load_policy(tmp_path)
+    assert "\n" not in str(refused.value)
 
 
 ROW = {"name": "height", "start": 0, "stop": 2, "unit": "m", "frame": "base", "scale": 5.0, "labels": ["a", "b"]}
@@ -257,37 +321,8 @@ def test_a_policy_file_acts_as_the_network_that_was_saved(run):
 
 
 def test_a_checkpoint_of_another_version_is_not_resumed(run, tmp_path):
-    folder = tmp_path / "older"
-    shutil.copytree(run, folder)
-    content = torch.load(folder / CHECKPOINT_NAME, weights_only=True)
-    del content["state"]["env"]["exploration"]["sums"]
-    torch.save(content, folder / CHECKPOINT_NAME)
+    state = torch.load(run / CHECKPOINT_NAME, weights_only=True)["state"]
+    del state["env"]["exploration"]["sums"]
+    changed_copy(run / CHECKPOINT_NAME, tmp_path, state=state)
     with pytest.raises(ArriveError, match=r"another version of arrive.*--start-from"):
-        trainer_in(folder).load()
-
-
-def test_a_folder_that_holds_a_run_is_not_overwritten(run):
-    with pytest.raises(ArriveError, match="already holds a run"):
-        new_run_folder(CONFIG, run)
-
-
-def test_a_real_full_disk_keeps_the_old_checkpoint(tmp_path):
-    """A limit on the size of files, which binds the administrator too, stops the write in the middle."""
-    path = tmp_path / "checkpoint.pt"
-    save_atomically(CONTENT, path)
-    before = path.read_bytes()
-    code = f"""
-import pathlib, resource, signal, torch
-from arrive.errors import ArriveError
-from arrive.learning.checkpoint import save_atomically
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-try:
-    save_atomically({{"format": 1, "weights": torch.zeros(100000)}}, pathlib.Path({str(path)!r}))
-except ArriveError as error:
-    print(error)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert "cannot write" in done.stdout, done.stderr
-    assert path.read_bytes() == before
-    assert names(tmp_path) == ["checkpoint.pt"]
+        trainer_in(tmp_path).load()

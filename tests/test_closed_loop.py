@@ -14,7 +14,7 @@ from arrive.env import POLICY
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
 from arrive.evaluation.closed_loop import ControlledRobots, check_pair, compare, describe, tilt
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 from arrive.policies import open_policy
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.terrain import FAMILIES

@@ -36,7 +36,7 @@ from arrive.deployment.policy_file import DIGEST, PREFIX, GridSpec, TaskSpec, di
 from arrive.deployment.verify import verify
 from arrive.env import POLICY
 from arrive.errors import ArriveError
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 from arrive.learning.rundir import write_config
 from arrive.learning.trainer import Trainer
 from arrive.presets import get_preset

@@ -19,9 +19,9 @@ from arrive.evaluation import charts, difficulty
 from arrive.evaluation.arrival import Cell, CellResult
 from arrive.evaluation.diagnosis import why_stuck
 from arrive.evaluation.playing import Played, play
-from arrive.evaluation.policy import load_policy
 from arrive.evaluation.records import Run
 from arrive.evaluation.table import PAPER, make_relations
+from arrive.learning.policy import load_policy
 from arrive.presets import PAPER_REWARDS, get_preset
 from arrive.task.feet import follow_feet
 from arrive.task.registry import TASKS, get_task

@@ -14,7 +14,7 @@ from arrive.config import Config, override
 from arrive.errors import ArriveError
 from arrive.evaluation import arrival, playing
 from arrive.evaluation.arrival import Arrival, Cell, cells_of, evaluate
-from arrive.evaluation.policy import Policy
+from arrive.learning.policy import Policy
 from arrive.presets import get_preset
 from arrive.terrain import get_family
 from arrive.terrain.pool import EVALUATION_SEED_OFFSET

@@ -2,18 +2,17 @@
 
 import pytest
 import torch
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
-from arrive.learning.networks import MixedPrecision, MixedPrecisionModel, choose_precision
+from arrive.learning.networks import MixedPrecision, Network, choose_precision
 
 SIZE = 40
 
 
-def a_model(kind: type[MLPModel], seed: int = 1) -> MLPModel:
+def a_model(precision: str, seed: int = 1) -> Network:
     torch.manual_seed(seed)
     observation = TensorDict({"policy": torch.zeros(1, SIZE)}, batch_size=[1])
-    return kind(observation, {"actor": ["policy"]}, "actor", 3, hidden_dims=[64, 32])
+    return Network(observation, {"actor": ["policy"]}, "actor", 3, hidden_dims=[64, 32], precision=precision)
 
 
 def observations(n: int = 50) -> TensorDict:
@@ -22,21 +21,21 @@ def observations(n: int = 50) -> TensorDict:
 
 
 def test_parameters_have_the_same_names_and_values_so_that_files_are_interchangeable():
-    full, mixed = a_model(MLPModel), a_model(MixedPrecisionModel)
+    full, mixed = a_model("float32"), a_model("bfloat16")
     assert full.state_dict().keys() == mixed.state_dict().keys()
     assert all(torch.equal(full.state_dict()[name], value) for name, value in mixed.state_dict().items())
     assert isinstance(mixed.mlp, MixedPrecision)
 
 
 def test_outputs_are_float32_and_within_the_rounding_of_bfloat16():
-    full, mixed = a_model(MLPModel)(observations()), a_model(MixedPrecisionModel)(observations())
+    full, mixed = a_model("float32")(observations()), a_model("bfloat16")(observations())
     assert mixed.dtype == torch.float32
     assert not torch.equal(full, mixed)
     assert float((full - mixed).detach().abs().max()) < 0.02 * float(full.detach().abs().max())
 
 
 def test_gradients_reach_every_float32_parameter_and_agree():
-    full, mixed = a_model(MLPModel), a_model(MixedPrecisionModel)
+    full, mixed = a_model("float32"), a_model("bfloat16")
     for model in (full, mixed):
         model(observations()).square().mean().backward()
     for (name, a), b in zip(full.named_parameters(), mixed.parameters(), strict=True):

@@ -15,7 +15,7 @@ import pytest
 from arrive import cli, policies
 from arrive.deployment.policy_file import read_policy_file
 from arrive.errors import ArriveError
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 from arrive.play import shapes
 from arrive.play.history import WINDOW_S, History
 from arrive.play.pace import LARGEST_DELAY_S, Pace

@@ -1,4 +1,4 @@
-"""What training does when a number is none: it stops, keeps the evidence, goes back and goes on."""
+"""What training does at a NaN: it stops, keeps the evidence, goes back and goes on."""
 
 import math
 import signal
@@ -8,7 +8,8 @@ import torch
 
 from arrive.errors import ArriveError
 from arrive.learning.logs import RunLog
-from arrive.learning.trainer import MAX_RECOVERIES
+from arrive.learning.recovery import MAX_RECOVERIES
+from arrive.learning.trainer import Budget
 from test_training import STEPS, differing, log_rows, make_trainer, run, saved_state
 
 
@@ -30,7 +31,7 @@ def only_dump(folder) -> dict:
     return torch.load(path, weights_only=True)
 
 
-def test_a_reward_that_is_none_stops_the_update_and_training_goes_on(tmp_path, capsys):
+def test_a_reward_of_nan_stops_the_update_and_training_goes_on(tmp_path, capsys):
     """A NaN in a reward stops the iteration before the update; training goes on from the last good state."""
     folder = tmp_path / "run"
     trainer = make_trainer(folder)
@@ -38,14 +39,14 @@ def test_a_reward_that_is_none_stops_the_update_and_training_goes_on(tmp_path, c
     calls = iter(range(10**9))
     spoil_term(trainer, "torque_cost", env_id=3, when=lambda: next(calls) == 0)
     seen = []
-    recover = trainer._recover
+    recover = trainer.recovery.go_back
 
     def look(error):
         parameters = trainer.algorithm.actor.parameters()
         seen.append(all(torch.equal(a, b) for a, b in zip(parameters, before, strict=True)))
         recover(error)
 
-    trainer._recover = look
+    trainer.recovery.go_back = look
     assert run(trainer, 3) == [1, 2, 3]
     assert seen == [True], "the networks were updated with the spoilt batch"
     dump = only_dump(folder)
@@ -70,7 +71,7 @@ def test_a_broken_network_is_replaced_by_the_last_good_one(tmp_path, broken):
             parameter.data.view(-1)[0] = math.nan
             done.append(True)
 
-    trainer.train(None, 4, report)
+    trainer.train(Budget(iterations=4), report)
     assert reported == [1, 2, 1, 2, 3, 4]
     dump = only_dump(folder)
     assert "non-finite" in dump["what"]
@@ -83,15 +84,15 @@ def test_a_broken_network_is_replaced_by_the_last_good_one(tmp_path, broken):
 def test_what_comes_back_for_ever_ends_the_run(tmp_path, iteration):
     """Also where good iterations lie between the state to go back to and the one that goes wrong."""
     trainer = make_trainer(tmp_path / "run")
-    spoil_term(trainer, "task", 3, when=lambda: trainer.iteration == iteration)
-    tries, recover = [], trainer._recover
+    spoil_term(trainer, "task", 3, when=lambda: trainer.state.iteration == iteration)
+    tries, recover = [], trainer.recovery.go_back
 
     def counting(error):
         tries.append(error)
         assert len(tries) <= MAX_RECOVERIES + 1, "it would go on for ever"
         recover(error)
 
-    trainer._recover = counting
+    trainer.recovery.go_back = counting
     with pytest.raises(ArriveError, match=rf"task in environments 3; it came back {MAX_RECOVERIES} times.*dump_"):
         run(trainer, 5)
     assert len(tries) == MAX_RECOVERIES + 1
@@ -111,7 +112,7 @@ def test_the_log_has_no_iteration_twice_after_going_back(tmp_path):
     trainer, calls = make_trainer(tmp_path / "run"), iter(range(10**9))
     spoil_term(trainer, "task", 1, when=lambda: next(calls) == 3 * STEPS + 2)
     log = RunLog(tmp_path / "run")
-    trainer.train(None, 5, log.write)  # or whatever reporter `commands.train` gives
+    trainer.train(Budget(iterations=5), log.write)  # or whatever reporter `commands.train` gives
     log.close()
     assert [row["iteration"] for row in log_rows(tmp_path / "run")] == list("12345")
 

@@ -13,6 +13,7 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from PIL import Image
 from rich.console import Console
 
@@ -35,7 +36,9 @@ def make_report(iteration: int, **changes) -> IterationReport:
         time_left_s=3.7 * (100 - iteration),
         samples_per_s=6512.0,
         arrival=math.nan if iteration < 3 else 0.42,
+        diverged_share=0.0,
         exploration_paid=float(iteration < 50),
+        exploration_until=0.7,
         task_fraction=0.31,
         families={
             "flat": FamilyReport(0.9, 0.0, (64,)),
@@ -60,7 +63,15 @@ def test_the_panel_shows_the_figures_at_any_width(width):
     text = shown_in_terminal(make_report(40), width)
     for figure in ("anymal_c, stairs, quick", "runs/first", "40 %", "2:28 elapsed", "3:42 left", "983.04 k samples"):
         assert figure in text
-    for figure in ("6,512/s", "42 %", "paid, task reward at 31 % of its maximum", "1.5 of 3", "too_far", "+0.0712"):
+    for figure in (
+        "6,512/s",
+        "42 %",
+        "paid, task reward at 31 % of its maximum",
+        "70 %",
+        "1.5 of 3",
+        "too_far",
+        "+0.0712",
+    ):
         assert figure in text
     console = Console(record=True, width=width, file=io.StringIO())
     console.print(panel(make_report(40), "anymal_c, stairs, quick", "runs/first"))
@@ -138,7 +149,7 @@ def test_a_resumed_log_goes_on_from_its_checkpoint(tmp_path):
     with (tmp_path / "log.csv").open("a") as file:
         file.write("6,0.1,0.")  # killed while writing
     log = RunLog(tmp_path)
-    log.truncate_after(3)
+    log.resume_at(3)
     log.write(make_report(4, samples_per_s=2000.0))
     log.close()
     columns = read_log(tmp_path)
@@ -170,6 +181,19 @@ def test_curves_are_a_picture(tmp_path, iterations):
     pixels = np.asarray(Image.open(path))
     assert min(pixels.shape[:2]) > 500
     assert pixels.std() > 5
+
+
+def test_curves_shade_the_samples_in_which_the_exploration_reward_was_paid(tmp_path, monkeypatch):
+    """The spans are read from the figure, the log is written as training writes it: paid to all, some, then none."""
+    spans, shade = [], Axes.axvspan
+    monkeypatch.setattr(Axes, "axvspan", lambda axes, *ends, **style: spans.append(ends) or shade(axes, *ends, **style))
+    log = RunLog(tmp_path)
+    for iteration, paid in enumerate((1.0, 0.5, 0.0, 0.0, 1.0), start=1):
+        log.write(make_report(iteration, exploration_paid=paid))
+    log.close()
+    plot_curves(tmp_path)
+    millions = 24576 / 1e6
+    assert set(spans) == {(millions, 2 * millions), (5 * millions, 5 * millions)}
 
 
 @pytest.mark.parametrize(

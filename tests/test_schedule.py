@@ -1,30 +1,29 @@
 """The schedule: a gait first, then levels, then quiet; and a run follows it."""
 
-import math
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from arrive.config import ScheduleConfig
-from arrive.learning.schedule import settings
+from arrive.learning.schedule import MAX_STD, settings_at
 from arrive.presets import robust
 
 CONFIG = replace(robust(), schedule=ScheduleConfig(enabled=True))
 
 
 def test_while_a_gait_is_sought_the_configuration_holds():
-    now = settings(CONFIG, spent=0.2, seeking=1.0)
+    now = settings_at(CONFIG, spent=0.2, seeking=1.0)
     assert now.stage == "gait"
     assert (now.entropy, now.desired_kl) == (CONFIG.ppo.entropy, CONFIG.ppo.desired_kl)
-    assert now.max_std == math.inf
+    assert now.max_std == MAX_STD
     assert now.crash_cost == -CONFIG.task.rewards["crash_cost"]
     assert now.review == CONFIG.terrain.review
 
 
 def test_noise_falls_and_crashes_grow_dearer_and_nothing_jumps():
     shares = [i / 200 for i in range(201)]
-    run = [settings(CONFIG, spent, seeking=0.0) for spent in shares]
+    run = [settings_at(CONFIG, spent, seeking=0.0) for spent in shares]
     for before, after in pairwise(run):
         assert after.max_std <= before.max_std
         assert after.crash_cost >= before.crash_cost
@@ -38,10 +37,10 @@ def test_noise_falls_and_crashes_grow_dearer_and_nothing_jumps():
 
 
 def test_a_family_that_never_finds_its_gait_does_not_keep_the_run_from_finishing():
-    assert settings(CONFIG, spent=0.99, seeking=0.5).stage == "finish"
+    assert settings_at(CONFIG, spent=0.99, seeking=0.5).stage == "finish"
 
 
 def test_without_a_finish_the_last_values_are_those_of_the_climb():
     config = replace(CONFIG, schedule=replace(CONFIG.schedule, finish_from=1.0))
-    last = settings(config, spent=1.0, seeking=0.0)
+    last = settings_at(config, spent=1.0, seeking=0.0)
     assert (last.stage, last.crash_cost, last.review) == ("finish", 6.0, 0.25)

@@ -1,4 +1,4 @@
-"""Training: repeatable, continued exactly after a kill, never learning from numbers that are none."""
+"""Training: repeatable, continued exactly after a kill, never learning from NaN."""
 
 import csv
 import math
@@ -16,7 +16,7 @@ from arrive.build import build_env
 from arrive.config import override
 from arrive.env import POLICY
 from arrive.errors import ArriveError
-from arrive.learning.trainer import Trainer
+from arrive.learning.trainer import Budget, Trainer
 from arrive.presets import get_preset
 from arrive.terrain import FAMILIES
 
@@ -68,7 +68,7 @@ def make_trainer(folder, *settings: str, terrain: str = '["flat"]') -> Trainer:
 def run(trainer: Trainer, iterations: int, **options) -> list[int]:
     """Train and return the iterations that were reported."""
     reported: list[int] = []
-    trainer.train(None, iterations, lambda report: reported.append(report.iteration), **options)
+    trainer.train(Budget(iterations=iterations), lambda report: reported.append(report.iteration), **options)
     return reported
 
 
@@ -127,7 +127,7 @@ import sys
 from arrive import cli
 from arrive.learning.trainer import Trainer
 plain = Trainer.train
-Trainer.train = lambda self, minutes, iterations, report: plain(self, minutes, iterations, report, save_interval_s=0.0)
+Trainer.train = lambda *arguments: plain(*arguments, save_interval_s=0.0)
 cli.main(sys.argv[1:])
 """
 
@@ -214,6 +214,7 @@ def test_ctrl_c_saves_and_ends_cleanly(tmp_path):
     assert process.returncode == 0, output
     assert "Traceback" not in output
     assert f"run: {folder}" in output
+    assert f"arrive train flat,pit --resume {folder} --iterations 100000" in output
     saved = saved_state(folder)["iteration"]
     assert saved == int(log_rows(folder)[-1]["iteration"]) >= 2
     assert sorted(path.name for path in folder.glob("*.p*")) == ["checkpoint.pt", "curves.png", "policy.pt"]
@@ -223,12 +224,12 @@ def test_ctrl_c_saves_and_ends_cleanly(tmp_path):
 
 def test_a_budget_of_minutes_ends_the_run(tmp_path):
     trainer = make_trainer(tmp_path / "run")
-    trainer.train(0.005, None, lambda report: None)  # 0.3 s
-    assert 0.3 <= trainer.elapsed_s < 10.0
-    assert saved_state(tmp_path / "run")["iteration"] == trainer.iteration >= 1
+    trainer.train(Budget(minutes=0.005), lambda report: None)  # 0.3 s
+    assert 0.3 <= trainer.state.elapsed_s < 10.0
+    assert saved_state(tmp_path / "run")["iteration"] == trainer.state.iteration >= 1
 
 
-# Numbers that are none.
+# NaN and infinity.
 
 
 def test_one_diverged_robot_is_reset_and_the_others_do_not_notice(tmp_path):
@@ -271,7 +272,7 @@ def test_training_goes_on_through_a_diverged_robot(tmp_path):
             trainer.env.physics._state["qpos"][7, 10] = math.inf
 
     diverged: list[float] = []
-    trainer.train(None, 4, report)
+    trainer.train(Budget(iterations=4), report)
     assert diverged == [0, 0, 1, 1]
     assert list((tmp_path / "run").glob("dump_*")) == []
 
@@ -370,24 +371,13 @@ def test_a_warm_start_averages_nothing_of_the_other_run(tmp_path):
     assert differing(saved_actor(trainer), actor_weights(trainer)) == []
 
 
-def test_a_checkpoint_from_before_averages_were_kept_is_resumed(tmp_path):
-    trainer = make_trainer(tmp_path / "run")
-    run(trainer, 2)
-    content = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
-    del content["state"]["average"], content["config"]["ppo"]["averaged_iterations"]
-    torch.save(content, tmp_path / "run" / "checkpoint.pt")
-    again = make_trainer(tmp_path / "run")
-    again.load()
-    assert differing(saved_actor(again), actor_weights(trainer)) == []
-
-
 def test_a_run_can_start_from_the_networks_of_another(tmp_path):
     train("flat", tmp_path / "first", 2)
     first = saved_state(tmp_path / "first")["algorithm"]
     trainer = make_trainer(tmp_path / "second", terrain='["gap"]')
     trainer.warm_start(tmp_path / "first" / "checkpoint.pt")
     assert differing(trainer.algorithm.save(), first) == []
-    assert (trainer.iteration, trainer.samples) == (0, 0)
+    assert (trainer.state.iteration, trainer.state.samples) == (0, 0)
 
 
 def test_a_warm_start_goes_on_at_the_levels_that_were_reached(tmp_path):

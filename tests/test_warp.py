@@ -19,7 +19,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world

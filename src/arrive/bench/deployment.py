@@ -86,7 +86,7 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
     from arrive.config import override
     from arrive.deployment.export import describe, export_policy
     from arrive.env import POLICY
-    from arrive.evaluation.policy import Policy
+    from arrive.learning.policy import Policy
     from arrive.learning.ppo import make_actor
     from arrive.presets import robust
     from arrive.validate import validate

@@ -21,9 +21,9 @@ from arrive.evaluation.card import write_card
 from arrive.evaluation.diagnosis import why_stuck
 from arrive.evaluation.graphics import GraphicsUnavailable
 from arrive.evaluation.pictures import Episode, film, picture_strip
-from arrive.evaluation.policy import Policy, load_policy
 from arrive.evaluation.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES, read_run
 from arrive.evaluation.report import write_report
+from arrive.learning.policy import Policy, load_policy
 from arrive.learning.rundir import CONFIG_NAME
 from arrive.physics.device import choose_device, describe_device
 from arrive.terrain import parse_families

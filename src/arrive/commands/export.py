@@ -6,7 +6,7 @@ import importlib.util
 from typing import TYPE_CHECKING
 
 from arrive.errors import ArriveError
-from arrive.evaluation.policy import load_policy
+from arrive.learning.policy import load_policy
 
 if TYPE_CHECKING:
     from arrive.cli import Export, Verify

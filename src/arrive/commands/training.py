@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import math
+import shlex
+from contextlib import closing, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import torch
 from rich.progress import Progress
 
 from arrive.build import Placement, build_env
 from arrive.commands.threads import use_threads
 from arrive.config import Config
+from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.curves import plot_curves
-from arrive.learning.display import TrainingDisplay
+from arrive.learning.display import TrainingDisplay, count
 from arrive.learning.logs import RunLog
-from arrive.learning.ranks import join_ranks
-from arrive.learning.rundir import new_run_folder, read_config, samples_before, write_config
-from arrive.learning.trainer import Trainer
+from arrive.learning.ranks import Ranks, join_ranks
+from arrive.learning.report import IterationReport
+from arrive.learning.rundir import new_run_folder, owned, read_config, samples_before, write_config
+from arrive.learning.trainer import Budget, Trainer
+from arrive.lock import Lock
 from arrive.physics.device import choose_device, describe_device
+from arrive.policies import find_run
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
 
@@ -31,77 +39,115 @@ DEFAULT_MINUTES = 40.0
 
 
 def train(command: Train) -> None:
-    """Train a new run or continue one."""
+    """Train a new run or continue one.
+
+    Raises:
+        ArriveError: it cannot begin, cannot go on, or was interrupted at once; says how to go on.
+    """
     threads = use_threads(command.threads)
-    minutes, iterations, samples = _budget(command)
+    budget = _budget(command)
     device = choose_device(command.device)
     ranks = join_ranks(device)
     # Rank 0 alone makes the folder; the others take what it has found.
     config, folder = ranks.share((_resumed if command.resume else _fresh)(command) if ranks.leads else None)
-    if ranks.leads:
-        together = f", {ranks.count} processes" if ranks.count > 1 else ""
-        print(describe_device(device, command.device, threads, config.physics.engine) + together)
-    with Progress(transient=True, disable=not ranks.leads) as bar:
-        worlds = bar.add_task("building terrain", total=None)
-        env = build_env(
-            config,
-            Placement(seed_offset=ranks.seed_offset),
-            threads,
-            lambda i, n: bar.update(worlds, completed=i, total=n),
-            device,
-        )
-    trainer = Trainer(config, env, folder, ranks)
-    if samples is not None:
-        iterations = math.ceil(samples / trainer.batch)
+    with owned(folder) if ranks.leads else nullcontext() as lock:
+        try:
+            _train(command, _Run(config, folder, ranks, device, threads, budget, lock))
+        except KeyboardInterrupt:
+            raise ArriveError(f"interrupted; {_how_to_go_on(command, folder)}") from None
+    ranks.leave()
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What is trained, where, and by whom."""
+
+    config: Config
+    folder: Path
+    ranks: Ranks
+    device: torch.device
+    threads: int
+    budget: Budget
+    lock: Lock | None
+    """Of the folder; None in the processes that do not write."""
+
+
+def _train(command: Train, run: _Run) -> None:
+    """Build, load and train."""
+    if run.ranks.leads:
+        together = f", {run.ranks.count} processes" if run.ranks.count > 1 else ""
+        print(describe_device(run.device, command.device, run.threads, run.config.physics.engine) + together)
+    trainer = Trainer(run.config, _build(run), run.folder, run.ranks)
     before = 0
     if command.resume:
         trainer.load()
     elif command.start_from:
-        before = trainer.warm_start(command.start_from / CHECKPOINT_NAME)
-        before += samples_before(read_config(command.start_from)[1])
-    if ranks.leads:
-        _train_and_show(command, trainer, minutes, iterations, before)
+        start = find_run(command.start_from)
+        before = trainer.warm_start(start / CHECKPOINT_NAME) + samples_before(read_config(start)[1])
+    if run.ranks.leads:
+        _train_and_show(command, run, trainer, before)
     else:
-        trainer.train(minutes, iterations, lambda result: None)
-    ranks.leave()
+        trainer.train(run.budget, lambda result: None)
 
 
-def _train_and_show(
-    command: Train, trainer: Trainer, minutes: float | None, iterations: int | None, before: int
-) -> None:
+def _build(run: _Run) -> ArriveEnv:
+    with Progress(transient=True, disable=not run.ranks.leads) as bar:
+        worlds = bar.add_task("building terrain", total=None)
+        return build_env(
+            run.config,
+            Placement(seed_offset=run.ranks.seed_offset),
+            run.threads,
+            lambda i, n: bar.update(worlds, completed=i, total=n),
+            run.device,
+        )
+
+
+def _train_and_show(command: Train, run: _Run, trainer: Trainer, before: int) -> None:
     """Train with the display, the log and the curves."""
-    config, folder = trainer.config, trainer.folder
-    log = RunLog(folder)
+    config, folder, log = run.config, run.folder, RunLog(run.folder)
     if command.resume:
-        log.truncate_after(trainer.iteration)
+        log.resume_at(trainer.state.iteration)
     else:
         write_config(folder, config, before)  # last, so that a start that failed leaves the folder free
-    title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
-    with TrainingDisplay(title, folder) as display:
 
-        def report(result) -> None:
+    def before_save() -> None:
+        run.lock.check()
+        log.flush()
+
+    title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
+    with closing(log), TrainingDisplay(title, folder) as display:
+
+        def report(result: IterationReport) -> None:
             log.write(result)
             display.update(result)
 
-        trainer.train(minutes, iterations, report)
-    log.close()
-    if trainer.iteration:
+        trainer.train(run.budget, report, before_save)
+    if trainer.state.iteration:
         print(f"curves: {plot_curves(folder)}")
-    print(f"run: {folder} ({trainer.iteration} iterations, {trainer.samples / 1e6:.1f} M samples)")
+    print(f"run: {folder} ({trainer.state.iteration} iterations, {count(trainer.state.samples)} samples)")
+    if trainer.interrupted:
+        print(f"interrupted; {_how_to_go_on(command, folder)}")
 
 
-def _budget(command: Train) -> tuple[float | None, int | None, float | None]:
+def _how_to_go_on(command: Train, folder: Path) -> str:
+    """What to type after Ctrl-C."""
+    if not (folder / CHECKPOINT_NAME).exists():
+        return "nothing was trained yet: give the same command again"
+    words = ["arrive", "train", command.terrain, "--resume", str(folder)]
+    for name in ("minutes", "iterations", "samples"):
+        if (value := getattr(command, name)) is not None:
+            words += [f"--{name}", str(value)]
+    return f"go on from the last checkpoint with: {shlex.join(words)}"
+
+
+def _budget(command: Train) -> Budget:
     """Minutes, iterations and samples; whichever is spent first ends the run."""
     samples = None if command.samples is None else _parse_samples(command.samples)
     budget = {"minutes": command.minutes, "iterations": command.iterations, "samples": samples}
     for name, value in budget.items():
         if value is not None and not 0 < value < math.inf:
             raise ArriveError(f"--{name} must be positive, not {value}")
-    if samples is not None and command.iterations is not None:
-        raise ArriveError("give --samples or --iterations, not both")
-    if all(value is None for value in budget.values()):
-        return DEFAULT_MINUTES, None, None
-    return command.minutes, command.iterations, samples
+    return Budget(**budget) if any(budget.values()) else Budget(DEFAULT_MINUTES)
 
 
 def _parse_samples(text: str) -> float:
@@ -123,6 +169,10 @@ def _resumed(command: Train) -> tuple[Config, Path]:
     """The configuration of the run to continue; asking for another one at the same time is an error."""
     folder = command.resume
     config, _ = read_config(folder)
+    if not (folder / CHECKPOINT_NAME).is_file():
+        raise ArriveError(
+            f"{folder} has no {CHECKPOINT_NAME}: the start was cut off; begin it again with --out {folder}"
+        )
     names = tuple(family.name for family in parse_families(command.terrain))
     if names != config.terrain.families:
         raise ArriveError(f"{folder} trains on {','.join(config.terrain.families)}, not {command.terrain}")

@@ -15,9 +15,9 @@ from torch import nn
 from arrive.config import Config, to_dict
 from arrive.deployment.policy_file import DIGEST, FORMAT, INPUT, OUTPUT, PREFIX, digest, read_policy_file
 from arrive.errors import ArriveError
-from arrive.evaluation.policy import Policy
 from arrive.evaluation.records import DIFFICULTY_NAME
 from arrive.learning.checkpoint import check_schema
+from arrive.learning.policy import Policy
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.heights import HeightGrid

@@ -15,8 +15,8 @@ from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.pictures import Episode
 from arrive.evaluation.playing import Pilot, Played, Progress, episode, play
-from arrive.evaluation.policy import Policy
 from arrive.evaluation.wilson import wilson_interval
+from arrive.learning.policy import Policy
 from arrive.task.task import Trial
 from arrive.terrain import Family, Layout
 from arrive.terrain.pool import EVALUATION_SEED_OFFSET, level_values

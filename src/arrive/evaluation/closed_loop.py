@@ -13,7 +13,7 @@ from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult, evaluate
 from arrive.evaluation.playing import Progress
-from arrive.evaluation.policy import Policy
+from arrive.learning.policy import Policy
 from arrive.task.rotation import rotate, rotate_inverse
 
 COMPARED = ("final", "continuous")

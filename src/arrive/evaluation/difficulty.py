@@ -9,8 +9,8 @@ from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, evaluate
 from arrive.evaluation.pictures import Episode
 from arrive.evaluation.playing import Progress
-from arrive.evaluation.policy import Policy
 from arrive.evaluation.usage import usage_of
+from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.task.task import Trial
 from arrive.terrain import Family

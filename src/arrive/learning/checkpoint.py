@@ -1,63 +1,178 @@
-"""Checkpoints: written atomically, read without executing anything from the file."""
+"""Checkpoint and policy files: sealed with a digest, checked when read; nothing in them is executed."""
 
-import os
-import tempfile
+import hashlib
+import io
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
+from arrive.config import Config, from_dict, to_dict
 from arrive.errors import ArriveError
+from arrive.files import write_bytes
 
 FORMAT = 1
-"""Version of the checkpoint's layout."""
+"""Version of the files' layout."""
 CHECKPOINT_NAME = "checkpoint.pt"
 POLICY_NAME = "policy.pt"
+SEAL = b"arrive sha256 "
+"""A file ends with this and the hexadecimal SHA-256 of all bytes before: the comment of the zip that torch writes."""
+DIGEST_BYTES = 64
+WEIGHT_TYPE = torch.float32
+"""Of every weight and of the optimiser's averages."""
+MAP_TYPE = torch.int64
+MAPS = ("facing.observation_index", "facing.action_index", "facing.side")
+"""The tensors of a symmetric network that say what takes from where."""
 
 
-def save_atomically(content: dict[str, Any], path: Path) -> None:
-    """Write a checkpoint so that a crash or a full disk at any moment leaves the previous one whole.
+@dataclass(frozen=True)
+class Origin:
+    """What a checkpoint or policy file says about itself."""
+
+    robot: str
+    config: Config
+    schema: list[dict[str, Any]]
+    """Rows of the observation that the networks read, see `Observer.schema`."""
+    commit: str
+    """Of the code that trained it."""
+    iteration: int
+    samples: int
+    """Policy steps it was trained for."""
+
+    def content(self) -> dict[str, Any]:
+        """As plain data, the way it stands in a file."""
+        return {"format": FORMAT, **vars(self), "config": to_dict(self.config)}
+
+
+def seal(data: bytes) -> bytes:
+    """A zip file without a comment, as torch writes it, with its digest as the comment."""
+    body = data[:-2] + struct.pack("<H", len(SEAL) + DIGEST_BYTES) + SEAL
+    return body + hashlib.sha256(body).hexdigest().encode()
+
+
+def is_sealed(data: bytes) -> bool:
+    """Whether the file ends with the digest of its other bytes: no bit has changed since it was written."""
+    body, digest = data[:-DIGEST_BYTES], data[-DIGEST_BYTES:]
+    return body.endswith(SEAL) and hashlib.sha256(body).hexdigest().encode() == digest
+
+
+def save_sealed(content: dict[str, Any], path: Path) -> None:
+    """Write tensors and plain data with a digest, whole or not at all.
 
     Raises:
         ArriveError: the folder cannot be written or the disk is full.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                torch.save(content, file)
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except (OSError, RuntimeError) as error:
-        raise ArriveError(f"cannot write {path}: {error}. Free some space or choose another folder.") from error
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    write_bytes(path, seal(buffer.getvalue()))
 
 
-def load_checked(path: Path) -> dict[str, Any]:
-    """Read a checkpoint or policy file, tensors and plain data only.
+def load_policy_file(path: Path) -> tuple[Origin, dict[str, Tensor]]:
+    """Where a policy comes from, and its actor's weights.
 
     Raises:
-        ArriveError: the file is missing, truncated, not one of ours, or of a newer format.
+        ArriveError: missing, damaged, foreign, a training checkpoint, or a weight that is not a finite number.
     """
-    if not path.is_file():
-        raise ArriveError(f"there is no file {path}")
+    origin, content = _load(path)
+    if "actor" not in content:
+        raise ArriveError(f"{path} is a training checkpoint without a policy; use {POLICY_NAME} beside it")
+    _check_weights(content["actor"], path)
+    return origin, content["actor"]
+
+
+def load_checkpoint(path: Path) -> tuple[Origin, dict[str, Any]]:
+    """Where a training checkpoint comes from, and the state of the training.
+
+    Raises:
+        ArriveError: missing, damaged, foreign, a policy alone, or a weight that is not a finite number.
+    """
+    origin, content = _load(path)
+    if "state" not in content:
+        raise ArriveError(f"{path} is a policy, not a training checkpoint; it can be neither resumed nor started from")
+    state = content["state"]
+    if not isinstance(state, dict) or not isinstance(state.get("algorithm"), dict):
+        raise _foreign(path, "it has no networks")
+    _check_weights(state["algorithm"], path)
+    return origin, state
+
+
+def _load(path: Path) -> tuple[Origin, dict[str, Any]]:
+    """A file's origin and all that is in it."""
     try:
-        content = torch.load(path, weights_only=True, map_location="cpu")
-    except Exception as error:  # whatever damaged bytes make torch and its unpickler raise
+        data = Path(path).read_bytes()
+    except FileNotFoundError as error:
+        raise ArriveError(f"there is no file {path}") from error
+    except OSError as error:
+        raise ArriveError(f"cannot read {path}: {error.strerror or error}") from error
+    if not is_sealed(data):
         raise ArriveError(
-            f"cannot read {path}: it is truncated, corrupt or not a checkpoint of arrive. "
-            f"Use an earlier copy or train again. ({type(error).__name__})"
-        ) from error
-    if not isinstance(content, dict) or "format" not in content or "schema" not in content:
-        raise ArriveError(f"{path} is not a checkpoint of arrive")
+            f"cannot read {path}: it is truncated, corrupt or not a checkpoint of arrive (its digest does not match). "
+            f"Use an earlier copy or train again."
+        )
+    try:
+        content = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
+    except Exception as error:  # whatever foreign bytes make torch and its unpickler raise
+        raise _foreign(path, type(error).__name__) from error
+    return _origin(content, path), content
+
+
+def _origin(content: Any, path: Path) -> Origin:
+    if not isinstance(content, dict) or "format" not in content:
+        raise _foreign(path, "it says no format")
     if content["format"] != FORMAT:
-        raise ArriveError(f"{path} has checkpoint format {content['format']}, this version reads {FORMAT}")
-    return content
+        raise ArriveError(f"{path} has checkpoint format {content['format']!r}, this version reads {FORMAT}")
+    kinds = {"robot": str, "config": dict, "schema": list, "commit": str, "iteration": int, "samples": int}
+    for name, kind in kinds.items():
+        if not isinstance(content.get(name), kind):
+            raise _foreign(path, f"its {name} must be {kind.__name__}, not {content.get(name)!r:.60}")
+    rows = content["schema"]
+    if not rows or not all(isinstance(row, dict) and isinstance(row.get("stop"), int) for row in rows):
+        raise _foreign(path, "its schema must be a list of rows with their `stop`")
+    return Origin(**{name: content[name] for name in kinds} | {"config": from_dict(Config, content["config"])})
+
+
+def _foreign(path: Path, why: str) -> ArriveError:
+    return ArriveError(f"{path} is not a checkpoint of arrive: {why}")
+
+
+def _check_weights(weights: Any, path: Path) -> None:
+    """Make sure that every tensor is float32 and finite.
+
+    Raises:
+        ArriveError: names the first that is not.
+    """
+    if not isinstance(weights, Mapping) or not weights:
+        raise _foreign(path, "it has no weights")
+    for name, value in _tensors(weights):
+        expected = MAP_TYPE if name.endswith(MAPS) else WEIGHT_TYPE
+        if value.dtype != expected:
+            raise ArriveError(f"{path} is damaged: {name} is {value.dtype}, not {expected}. Use an earlier copy.")
+        if not bool(value.isfinite().all()):
+            raise ArriveError(f"{path} is damaged: {name} has values that are not finite. Use an earlier copy.")
+
+
+def _tensors(value: Any, name: str = "") -> Iterator[tuple[str, Tensor]]:
+    """Every tensor of nested data, with its path."""
+    if isinstance(value, Tensor):
+        yield name, value
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _tensors(item, f"{name}.{key}".lstrip("."))
+
+
+def check_fits(origin: Origin, robot: str, schema: list[dict[str, Any]], path: Path) -> None:
+    """Make sure that networks of this origin fit a robot and what is observed of it.
+
+    Raises:
+        ArriveError: another robot or observation.
+    """
+    if origin.robot != robot:
+        raise ArriveError(f"{path} was trained for the robot {origin.robot!r}, not {robot!r}")
+    check_schema(origin.schema, schema, path)
 
 
 def check_schema(saved: list[dict[str, Any]], present: list[dict[str, Any]], path: Path) -> None:

@@ -1,6 +1,5 @@
 """The curves of a run as one picture, drawn from its log."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
+from arrive.files import whole
 from arrive.learning.logs import read_log
 
 CURVES_NAME = "curves.png"
@@ -28,14 +28,13 @@ def plot_curves(folder: Path) -> Path:
     background is shaded. Strong lines are running means, faint ones the values of each iteration.
 
     Raises:
-        ArriveError: the folder has no log.
+        ArriveError: the folder has no log, or the picture cannot be written.
     """
-    log = {name: np.asarray(values) for name, values in read_log(folder).items()}
+    log = {name: _finite(values) for name, values in read_log(folder).items()}
     path = Path(folder) / CURVES_NAME
     figure = _draw(log)
-    partial = path.with_name(f"{CURVES_NAME}.partial")
-    figure.savefig(partial, format="png", dpi=110)
-    os.replace(partial, path)
+    with whole(path) as file:
+        figure.savefig(file, format="png", dpi=110)
     return path
 
 
@@ -124,8 +123,8 @@ def _curve(
 
 
 def _shade_exploration(axes: Axes, log: Log) -> None:
-    """Shade the samples during which the exploration reward was paid."""
-    active = log.get("exploration/active", np.zeros(0)) > 0.5
+    """Shade the samples during which the exploration reward was paid to some robots."""
+    active = log.get("exploration/paid", np.zeros(0)) > 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(int)))
     samples = _samples(log)
     for number, (start, stop) in enumerate(edges.reshape(-1, 2)):
@@ -135,8 +134,8 @@ def _shade_exploration(axes: Axes, log: Log) -> None:
 
 def _finish(axes: Axes, log: Log) -> None:
     samples = _samples(log)
-    if len(samples) > 1:
-        axes.set_xlim(samples[0], samples[-1])
+    if len(samples) > 1 and np.nanmax(samples, initial=-np.inf) > np.nanmin(samples, initial=np.inf):
+        axes.set_xlim(np.nanmin(samples), np.nanmax(samples))
     axes.set_xlabel("samples [million]", fontsize=8)
     axes.title.set(fontsize=10, fontweight="bold")
     axes.tick_params(which="both", labelsize=8)
@@ -148,6 +147,12 @@ def _finish(axes: Axes, log: Log) -> None:
 def _legend(axes: Axes) -> None:
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+
+
+def _finite(values: list[float]) -> np.ndarray:
+    """NaN, which is not drawn, in place of what is infinite, which cannot be."""
+    array = np.asarray(values, dtype=float)
+    return np.where(np.isfinite(array), array, np.nan)
 
 
 def _samples(log: Log) -> np.ndarray:

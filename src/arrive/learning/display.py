@@ -42,6 +42,7 @@ class TrainingDisplay:
         self._last_line_s = -math.inf
         self._unprinted: IterationReport | None = None
         self._failed = False
+        self._warned: set[str] = set()
 
     def __enter__(self) -> "TrainingDisplay":
         if self._console.is_terminal:
@@ -59,16 +60,22 @@ class TrainingDisplay:
         try:
             self._show(report)
         except (OSError, ValueError) as error:  # the terminal is gone, closed, or cannot encode a character
-            self._failed = True
-            warnings.warn(f"the training display stopped: {error}", RuntimeWarning, stacklevel=2)
+            self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        self._failed = True
+        warnings.warn(f"the training display stopped: {error}", RuntimeWarning, stacklevel=3)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
         if self._failed:
             return
-        if self._live is not None:
-            self._live.stop()
-        elif self._unprinted is not None:
-            self._print(plain_line(self._unprinted))
+        try:
+            if self._live is not None:
+                self._live.stop()
+            elif self._unprinted is not None:
+                self._print(plain_line(self._unprinted))
+        except (OSError, ValueError) as failure:
+            self._give_up(failure)
 
     def _show(self, report: IterationReport) -> None:
         if self._live is not None:
@@ -76,6 +83,9 @@ class TrainingDisplay:
             self._live.update(panel(report, self._title, self._folder, BARS if unicode else ASCII_BARS), refresh=True)
             return
         self._unprinted = report
+        for name in report.warnings.keys() - self._warned:
+            self._print(f"warning: {report.warnings[name]}")
+        self._warned = set(report.warnings)
         if time.monotonic() - self._last_line_s >= self._line_every_s:
             self._print(plain_line(report))
             self._last_line_s, self._unprinted = time.monotonic(), None
@@ -93,7 +103,7 @@ def plain_line(report: IterationReport) -> str:
     parts = [
         f"iteration {report.iteration}",
         f"{_percent(report.budget)} of budget, {_clock(report.elapsed_s)} elapsed, {_clock(report.time_left_s)} left",
-        f"{_count(report.samples)} samples, {report.samples_per_s:,.0f}/s",
+        f"{count(report.samples)} samples, {report.samples_per_s:,.0f}/s",
         f"arrival {_percent(report.arrival)}" + (f" ({families})" if families else ""),
         f"exploration reward {exploration_state(report)}",
     ]
@@ -105,6 +115,7 @@ def plain_line(report: IterationReport) -> str:
 def panel(report: IterationReport, title: str, folder: str, bars: str = BARS) -> Panel:
     """One iteration as a panel that fits any width from 80 columns on."""
     parts: list[RenderableType] = [_progress(report), _summary(report)]
+    parts += [Text(f"warning: {text}", "bold red") for text in report.warnings.values()]
     if report.families:
         parts.append(_families(report.families, bars))
     if report.failures:
@@ -124,7 +135,8 @@ def exploration_state(report: IterationReport) -> str:
     if not report.exploration_paid:
         return "removed"
     where = "paid" if report.exploration_paid == 1.0 else f"paid to {_percent(report.exploration_paid)} of the robots"
-    return f"{where}, task reward at {_percent(report.task_fraction)} of its maximum; goes at 50 %"
+    present, until = _percent(report.task_fraction), _percent(report.exploration_until)
+    return f"{where}, task reward at {present} of its maximum; removed at {until}"
 
 
 def level_bars(levels: tuple[int, ...], bars: str = BARS) -> Text:
@@ -133,8 +145,8 @@ def level_bars(levels: tuple[int, ...], bars: str = BARS) -> Text:
     counts = [sum(levels[start : start + pool]) for start in range(0, len(levels), pool)]
     top, steps = max(counts, default=0), len(bars) - 1
     text = Text(no_wrap=True)
-    for count in counts:
-        text.append(bars[math.ceil(count / top * steps)] if count else bars[0], "green" if count else "dim")
+    for robots in counts:
+        text.append(bars[math.ceil(robots / top * steps)] if robots else bars[0], "green" if robots else "dim")
     return text
 
 
@@ -150,8 +162,8 @@ def _progress(report: IterationReport) -> Table:
 
 def _summary(report: IterationReport) -> Table:
     table = Table.grid(padding=(0, 2))
-    count = f"{_count(report.samples)} samples   {report.samples_per_s:,.0f}/s   iteration {report.iteration:,}"
-    table.add_row("progress", count)
+    progress = f"{count(report.samples)} samples   {report.samples_per_s:,.0f}/s   iteration {report.iteration:,}"
+    table.add_row("progress", progress)
     table.add_row("arrival", Text(_percent(report.arrival), "bold green"))
     table.add_row("exploration reward", exploration_state(report))
     return table
@@ -205,7 +217,8 @@ def _clock(seconds: float) -> str:
     return f"{hour}:{minute:02d}:{second:02d}" if hour else f"{minute}:{second:02d}"
 
 
-def _count(number: int) -> str:
+def count(number: int) -> str:
+    """A number with three digits and its unit: 983.04 k."""
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if number >= size:
             return f"{number / size:.2f} {unit}"

@@ -1,4 +1,4 @@
-"""Stops learning from numbers that are none: finds the term and the environments, and keeps the evidence."""
+"""Stops learning from NaN and infinity: finds the term and the environments, and keeps the evidence."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from arrive.learning.checkpoint import save_atomically
+from arrive.learning.checkpoint import save_sealed
 
 MAX_LISTED = 10
 
@@ -50,7 +50,7 @@ def check_losses(losses: dict[str, float], parameters: dict[str, Tensor]) -> Non
 def save_dump(folder: Path, iteration: int, error: NonFiniteError, state: dict) -> Path:
     """Keep what went wrong for a person to look at."""
     path = folder / f"dump_{iteration}.pt"
-    save_atomically({"what": str(error), "values": error.tensors, "state": state}, path)
+    save_sealed({"what": str(error), "values": error.tensors, "state": state}, path)
     return path
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arrive.errors import ArriveError
+from arrive.files import cannot_write, read_text, write_text
 from arrive.learning.report import IterationReport
 
 if TYPE_CHECKING:
@@ -16,18 +17,29 @@ if TYPE_CHECKING:
 LOG_NAME = "log.csv"
 TENSORBOARD_NAME = "tensorboard"
 
+Row = dict[str, str]
+
 
 class RunLog:
     """Writes every report to `log.csv` and to TensorBoard event files in `folder`, and continues an existing log."""
 
     def __init__(self, folder: Path):
+        """
+        Raises:
+            ArriveError: the folder cannot be written, or holds a damaged log.
+        """
         self._folder = Path(folder)
-        self._folder.mkdir(parents=True, exist_ok=True)
         self._path = self._folder / LOG_NAME
         self._columns: list[str] = ["iteration"]
         self._events: SummaryWriter | None = None
         self._purge_step: int | None = None
         self._last = -1
+        self._size: int | None = None
+        self._warned: set[str] = set()
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise cannot_write(self._folder, error) from error
         if self._path.exists():
             self._columns, rows = _read_rows(self._path)
             self._rewrite(rows)  # without the half line that a killed process may have left
@@ -38,49 +50,104 @@ class RunLog:
         An iteration not after the last one means that training went back: what was logged since is dropped.
 
         Raises:
-            ArriveError: the disk is full or the folder cannot be written.
+            ArriveError: the disk is full, the folder cannot be written, or somebody else has changed the log.
         """
+        self._check_ours()
         try:
             if report.iteration <= self._last:
                 self.truncate_after(report.iteration - 1)
-            self._append(report)
+            scalars = report.scalars()
+            self._append(report.iteration, scalars)
+            self._write_events(report, scalars)
         except OSError as error:
             raise ArriveError(f"cannot log to {self._folder}: {error}. Free some space and resume.") from error
         self._last = report.iteration
 
-    def _append(self, report: IterationReport) -> None:
-        scalars = report.scalars()
-        row = {"iteration": str(report.iteration)} | {name: repr(float(value)) for name, value in scalars.items()}
+    def _check_ours(self) -> None:
+        """Make sure that the file is as the last row left it."""
+        size = self._path.stat().st_size if self._path.exists() else None
+        if size != self._size:
+            what = "removed" if size is None else "changed"
+            raise ArriveError(f"{self._path} was {what} while training; training ends, --resume {self._folder} goes on")
+
+    def _append(self, iteration: int, scalars: dict[str, float]) -> None:
+        row = {"iteration": str(iteration)} | {name: repr(float(value)) for name, value in scalars.items()}
         new_columns = [name for name in row if name not in self._columns]
-        if new_columns or not self._path.exists():
-            rows = _read_rows(self._path)[1] if self._path.exists() else []
+        if new_columns or self._size is None:
+            rows = _read_rows(self._path)[1] if self._size is not None else []
             self._columns += new_columns
             self._rewrite([*rows, row])
-        else:
-            with self._path.open("a", newline="") as file:
-                file.write(_csv_text(self._columns, [row], header=False))
-        self._write_events(report.iteration, scalars)
+            return
+        data = _csv_text(self._columns, [row], header=False).encode()
+        with self._path.open("ab") as file:
+            file.write(data)
+        self._size += len(data)
+
+    def resume_at(self, iteration: int) -> None:
+        """Go on after a checkpoint's iteration: drop what was logged after it.
+
+        Without a file the log begins anew.
+
+        Raises:
+            ArriveError: rows up to there are missing.
+        """
+        if self._size is not None:
+            self._check_complete(iteration)
+        elif iteration:
+            print(f"{self._path} is gone: the log begins anew at iteration {iteration + 1}")
+        self.truncate_after(iteration)
+
+    def _check_complete(self, iteration: int) -> None:
+        """Make sure that no row is missing up to a checkpoint's iteration; say so where only the first ones are."""
+        numbers = [number for row in _read_rows(self._path)[1] if (number := int(row["iteration"])) <= iteration]
+        expected = range(numbers[0] if numbers else 1, iteration + 1)
+        missing = sorted(set(expected) - set(numbers))
+        if missing:
+            raise ArriveError(
+                f"{self._path} has no row for iteration {missing[0]}, but the checkpoint is of iteration {iteration}. "
+                f"Put the whole file back, or delete it: the log then begins at {iteration + 1}."
+            )
+        if expected.start > 1 and numbers:
+            print(f"{self._path} begins at iteration {expected.start}: what was before is missing")
 
     def truncate_after(self, iteration: int) -> None:
-        """Drop what was logged after `iteration`, the one of the checkpoint that the run resumes from."""
+        """Drop what was logged after `iteration`."""
         self.close()
         self._purge_step = iteration + 1
-        if self._path.exists():
+        if self._size is not None:
             _, rows = _read_rows(self._path)
             self._rewrite([row for row in rows if int(row["iteration"]) <= iteration])
 
+    def flush(self) -> None:
+        """Bring the log to the disk, so that no checkpoint is ever ahead of it.
+
+        Raises:
+            ArriveError: the disk is full or gone.
+        """
+        if self._size is None:
+            return
+        self._check_ours()
+        try:
+            with self._path.open("rb") as file:
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise cannot_write(self._path, error) from error
+
     def close(self) -> None:
         """Flush and close the event file; a later `write` opens a new one."""
-        if self._events is not None:
-            self._events.close()
-            self._events = None
+        events, self._events = self._events, None
+        if events is not None:
+            try:
+                events.close()
+            except OSError as error:
+                raise cannot_write(self._folder / TENSORBOARD_NAME, error) from error
 
-    def _rewrite(self, rows: list[dict[str, str]]) -> None:
-        partial = self._path.with_suffix(".csv.partial")
-        partial.write_text(_csv_text(self._columns, rows, header=True))
-        os.replace(partial, self._path)
+    def _rewrite(self, rows: list[Row]) -> None:
+        text = _csv_text(self._columns, rows, header=True)
+        write_text(self._path, text)
+        self._size = len(text.encode())
 
-    def _write_events(self, iteration: int, scalars: dict[str, float]) -> None:
+    def _write_events(self, report: IterationReport, scalars: dict[str, float]) -> None:
         if self._events is None:
             # Imported on use: it takes seconds, which `arrive report` need not wait for.
             from torch.utils.tensorboard import SummaryWriter
@@ -89,23 +156,26 @@ class RunLog:
             self._events = SummaryWriter(str(folder), purge_step=self._purge_step, flush_secs=30)
         for name, value in scalars.items():
             if math.isfinite(value):  # a NaN is an arrival rate before the first episode has ended
-                self._events.add_scalar(name, value, iteration)
+                self._events.add_scalar(name, value, report.iteration)
+        for name in report.warnings.keys() - self._warned:
+            self._events.add_text(f"warnings/{name}", report.warnings[name], report.iteration)
+        self._warned = set(report.warnings)
 
 
 def read_log(folder: Path) -> dict[str, list[float]]:
     """Every column of a run's `log.csv`, all of one length; NaN where an iteration did not report the figure.
 
     Raises:
-        ArriveError: the folder has no log.
+        ArriveError: the folder has no log, or a damaged one.
     """
     path = Path(folder) / LOG_NAME
     if not path.exists():
         raise ArriveError(f"{folder} has no {LOG_NAME}; is it the folder of a run?")
     columns, rows = _read_rows(path)
-    return {name: [float(row.get(name) or "nan") for row in rows] for name in columns}
+    return {name: [float(row[name] or "nan") for row in rows] for name in columns}
 
 
-def _csv_text(columns: list[str], rows: list[dict[str, str]], header: bool) -> str:
+def _csv_text(columns: list[str], rows: list[Row], header: bool) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     if header:
@@ -114,11 +184,48 @@ def _csv_text(columns: list[str], rows: list[dict[str, str]], header: bool) -> s
     return text.getvalue()
 
 
-def _read_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns and complete rows; a last line without its end was cut off with the process that wrote it."""
-    text = path.read_text()
-    reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))
-    columns = list(reader.fieldnames or ["iteration"])
-    if columns[0] != "iteration":
-        raise ArriveError(f"{path} is no log of this program: its first column is {columns[0]!r}, not 'iteration'")
-    return columns, list(reader)
+def _read_rows(path: Path) -> tuple[list[str], list[Row]]:
+    """Columns and complete rows; a last line without its end was cut off with the process that wrote it.
+
+    Raises:
+        ArriveError: not such a log; names the line that is wrong.
+    """
+    text = read_text(path)
+    lines = text[: text.rfind("\n") + 1].split("\n")[:-1]
+    columns = _cells(lines[0]) if lines else ["iteration"]
+    if columns[0] != "iteration" or len(set(columns)) != len(columns):
+        raise ArriveError(f"{path} is no log of arrive: its first line must be iteration and other names, once each")
+    rows, last = [], 0
+    for number, line in enumerate(lines[1:], start=2):
+        cells = _cells(line)
+        row = dict(zip(columns, cells, strict=False))
+        problem = _problem(row, len(cells), columns, last)
+        if problem:
+            raise ArriveError(f"{path}, line {number}: {problem}. Put a whole file back, or delete this one.")
+        rows.append(row)
+        last = int(row["iteration"])
+    return columns, rows
+
+
+def _cells(line: str) -> list[str]:
+    """The values of one line; a single empty one where it is no CSV."""
+    try:
+        return next(csv.reader([line], strict=True), [""])
+    except csv.Error:
+        return [""]
+
+
+def _problem(row: Row, cells: int, columns: list[str], last: int) -> str | None:
+    """What is wrong with a row of the log, if anything."""
+    if cells != len(columns):
+        return f"{cells} values where the first line has {len(columns)} names"
+    if not (row["iteration"].isascii() and row["iteration"].isdigit() and len(row["iteration"]) < 16):
+        return f"the iteration must be a whole number, not {row['iteration']!r:.60}"
+    if int(row["iteration"]) <= last:
+        return f"iteration {row['iteration']} does not come after {last}"
+    for name, value in row.items():
+        try:
+            float(value or "nan")
+        except ValueError:
+            return f"{name} must be a number, not {value!r:.60}"
+    return None

@@ -32,10 +32,14 @@ class IterationReport:
     samples_per_s: float
     arrival: float
     """Share of recently finished episodes that arrived, NaN before the first one."""
+    diverged_share: float
+    """Share of the recently ended episodes that ended because the simulation diverged."""
     exploration_paid: float
     """Share of the robots to which the exploration reward (paper, eq. 3) is still paid."""
+    exploration_until: float
+    """`task_fraction` of a terrain family at which the exploration reward is removed there."""
     task_fraction: float
-    """Task reward inside its window as a share of its maximum, mean of the families; on each it goes at 0.5."""
+    """Task reward inside its window as a share of its maximum, mean of the families."""
     families: dict[str, FamilyReport] = field(default_factory=dict)
     rewards: dict[str, float] = field(default_factory=dict)
     """Mean weighted reward per step and term, over the iteration."""
@@ -43,6 +47,8 @@ class IterationReport:
     """Share of recently finished episodes per cause of failure."""
     learning: dict[str, float] = field(default_factory=dict)
     """Losses, learning rate, action standard deviation."""
+    warnings: dict[str, str] = field(default_factory=dict)
+    """Signs that nothing is learnt: name and, for a person, what was seen and the likely causes."""
 
     def scalars(self) -> dict[str, float]:
         """Every figure under one flat name, as TensorBoard and the CSV log write them."""
@@ -51,6 +57,7 @@ class IterationReport:
             "progress/elapsed_s": self.elapsed_s,
             "progress/samples_per_s": self.samples_per_s,
             "arrival/all": self.arrival,
+            "episodes/diverged": self.diverged_share,
             "exploration/paid": self.exploration_paid,
             "exploration/task_fraction": self.task_fraction,
         }
@@ -59,4 +66,4 @@ class IterationReport:
             flat[f"level/{name}"] = family.mean_level
         for group in ("rewards", "failures", "learning"):
             flat |= {f"{group}/{name}": value for name, value in getattr(self, group).items()}
-        return flat
+        return flat | {f"warnings/{name}": 1.0 for name in self.warnings}

@@ -1,19 +1,25 @@
-"""A run's folder: what was asked, by which code, and what came of it."""
+"""A run's folder: what was asked, by which code, and who may write there."""
 
-import json
+import contextlib
 import os
 import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from arrive import __version__
 from arrive.config import Config, from_dict, to_dict
 from arrive.errors import ArriveError
+from arrive.files import cannot_write, read_json, remove_unfinished, write_json
+from arrive.learning.checkpoint import CHECKPOINT_NAME, POLICY_NAME
+from arrive.learning.logs import LOG_NAME
+from arrive.lock import Lock
 
 CONFIG_NAME = "config.json"
+LOCK_NAME = "run.lock"
 RUNS = Path("runs")
 
 
@@ -33,30 +39,80 @@ def commit() -> str:
 
 
 def new_run_folder(config: Config, folder: Path | None) -> Path:
-    """Make the folder of a new run; without a name given, one from terrain, preset, seed and time.
+    """Make the folder of a new run; without a name given, a new one from terrain, preset, seed and time.
+
+    A folder that holds only what a start that was cut off has left can be begun again.
 
     Raises:
         ArriveError: it cannot be written, or already holds a run.
     """
-    if folder is None:
-        terrain = "-".join(config.terrain.families) if len(config.terrain.families) < 4 else "mixed"
-        folder = RUNS / f"{time.strftime('%Y%m%d-%H%M%S')}-{terrain}-{config.task.name}-{config.preset}-{config.seed}"
-    if (folder / CONFIG_NAME).exists():
-        raise ArriveError(f"{folder} already holds a run; continue it with --resume {folder}, or choose another folder")
     try:
+        if folder is None:
+            return _new_folder(config)
+        for name in (CHECKPOINT_NAME, POLICY_NAME, LOG_NAME):
+            if (folder / name).exists():
+                raise ArriveError(
+                    f"{folder} already holds a run ({name}); continue it with --resume {folder}, "
+                    f"or choose another folder"
+                )
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK):
             raise PermissionError("permission denied")
     except OSError as error:
-        raise ArriveError(f"cannot write to the run folder {folder}: {error}") from error
+        raise ArriveError(f"cannot write to the run folder {folder or RUNS}: {error.strerror or error}") from error
     return folder
 
 
+def _new_folder(config: Config) -> Path:
+    """A folder under RUNS that did not exist: two runs that begin in the same second get two."""
+    terrain = "-".join(config.terrain.families) if len(config.terrain.families) < 4 else "mixed"
+    name = f"{time.strftime('%Y%m%d-%H%M%S')}-{terrain}-{config.task.name}-{config.preset}-{config.seed}"
+    folder, number = RUNS / name, 1
+    while folder.exists() or not _made(folder):
+        number += 1
+        folder = RUNS / f"{name}-{number}"
+    return folder
+
+
+def _made(folder: Path) -> bool:
+    """Make a folder; False where another process was faster."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def owned(folder: Path) -> Iterator[Lock]:
+    """Be the only process that writes to a run's folder; what a killed one has left half written is removed.
+
+    A folder that is empty in the end, because the start failed, is removed too.
+
+    Raises:
+        ArriveError: another process writes there.
+    """
+    try:
+        with Lock(folder / LOCK_NAME, f"the run in {folder}") as lock:
+            try:
+                remove_unfinished(folder)
+            except OSError as error:
+                raise cannot_write(folder, error) from error
+            yield lock
+    finally:
+        with contextlib.suppress(OSError):  # where it holds a run
+            folder.rmdir()
+
+
 def write_config(folder: Path, config: Config, before: int = 0) -> None:
-    """Write the resolved configuration with commit, command and seed, before training starts.
+    """Write the resolved configuration with commit, command and seed, just before the first checkpoint.
 
     Args:
         before: policy steps of the runs that this one begins from.
+
+    Raises:
+        ArriveError: the folder cannot be written.
     """
     content = {
         "config": to_dict(config),
@@ -65,10 +121,7 @@ def write_config(folder: Path, config: Config, before: int = 0) -> None:
         "seed": config.seed,
         "samples_before": before,
     }
-    try:
-        (folder / CONFIG_NAME).write_text(json.dumps(content, indent=2) + "\n")
-    except OSError as error:
-        raise ArriveError(f"cannot write to the run folder {folder}: {error}") from error
+    write_json(folder / CONFIG_NAME, content)
 
 
 def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
@@ -78,15 +131,24 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
         ArriveError: the folder holds no run, or its configuration is not readable.
     """
     path = folder / CONFIG_NAME
-    if not path.is_file():
-        raise ArriveError(f"{folder} is not a run folder: it has no {CONFIG_NAME}")
     try:
-        content = json.loads(path.read_text())
+        if not path.is_file():
+            raise ArriveError(f"{folder} is not a run folder: it has no {CONFIG_NAME}")
+    except OSError as error:
+        raise ArriveError(f"cannot read {path}: {error.strerror or error}") from error
+    content = read_json(path)
+    kinds = {"config": dict, "commit": str, "command": str, "seed": int}
+    for name, kind in kinds.items():
+        if not isinstance(content.get(name), kind):
+            raise ArriveError(f"cannot read {path}: {name} must be {kind.__name__}, not {content.get(name)!r:.60}")
+    if not isinstance(content.get("samples_before", 0), int):
+        raise ArriveError(f"cannot read {path}: samples_before must be a number, not {content['samples_before']!r:.60}")
+    try:
         return from_dict(Config, content["config"]), content
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
-        raise ArriveError(f"cannot read {path}: {error!r}") from error
+    except ArriveError as error:
+        raise ArriveError(f"cannot read {path}: {error}") from error
 
 
 def samples_before(record: dict[str, Any]) -> int:
-    """Policy steps of the runs that a run began from; 0 also where its record is too old to say."""
+    """Policy steps of the runs that a run began from."""
     return int(record.get("samples_before", 0))

@@ -5,12 +5,13 @@ trips over the same noise. And the policy that is measured acts without any, so 
 little noise, small steps, dear falls, and easy levels among the hard ones.
 """
 
-import math
 from dataclasses import dataclass
 
 from arrive.config import Config, ScheduleConfig
 
 GAIT, CLIMB, FINISH = "gait", "climb", "finish"
+MAX_STD = 1e3
+"""Stands for no bound on the action noise."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Settings:
     """Share of the episodes on a random easier level."""
 
 
-def settings(config: Config, spent: float, seeking: float) -> Settings:
+def settings_at(config: Config, spent: float, seeking: float) -> Settings:
     """What holds at this point of a run.
 
     While climbing, the bound on the action noise falls geometrically with the budget; in the finish everything has gone
@@ -41,7 +42,9 @@ def settings(config: Config, spent: float, seeking: float) -> Settings:
         spent: share of the budget, 0 to 1.
         seeking: share of the robots whose terrain family still seeks its gait.
     """
-    schedule = config.schedule
+    schedule, first = config.schedule, config.ppo
+    if not schedule.enabled:
+        return _constant(config, first.entropy_after + seeking * (first.entropy - first.entropy_after))
     finish = _finish_share(schedule, spent)
     climb_std = schedule.climb_std * (schedule.finish_std / schedule.climb_std) ** spent
     climbed = Settings(
@@ -54,12 +57,16 @@ def settings(config: Config, spent: float, seeking: float) -> Settings:
     )
     if seeking <= 0.0 or finish > 0.0:
         return climbed
-    first = config.ppo
+    return _constant(config, _between(climbed.entropy, first.entropy, seeking))
+
+
+def _constant(config: Config, entropy: float) -> Settings:
+    """What the configuration says itself."""
     return Settings(
         stage=GAIT,
-        entropy=_between(climbed.entropy, first.entropy, seeking),
-        desired_kl=first.desired_kl,
-        max_std=math.inf,
+        entropy=entropy,
+        desired_kl=config.ppo.desired_kl,
+        max_std=MAX_STD,
         crash_cost=-config.task.rewards.get("crash_cost", 0.0),
         review=config.terrain.review,
     )

@@ -1,6 +1,7 @@
 """Running figures over the episodes that finished lately."""
 
 from collections import deque
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,8 +19,9 @@ class TrainingStatistics:
     def __init__(self, env: ArriveEnv):
         self._names = [family.name for family in env.pool.families]
         self._recent: deque[dict[str, list[float]]] = deque(maxlen=WINDOW_ITERATIONS)
+        self._recent_ends: deque[tuple[int, int]] = deque(maxlen=WINDOW_ITERATIONS)
         self.diverged = 0
-        """Simulations that diverged since the run was started or resumed."""
+        """Simulations that diverged since the run began."""
         self._begin()
 
     def _begin(self) -> None:
@@ -27,15 +29,18 @@ class TrainingStatistics:
         self._now: dict[str, list[float]] = {"episodes": list(zeros), "success": list(zeros)}
         self._rewards: dict[str, float] = {}
         self._steps = 0
+        self._diverged, self._ended = 0, 0
 
     def take(self, env: ArriveEnv, log: StepLog) -> None:
         """Take in one step."""
         self._steps += 1
         self.diverged += log.diverged
+        self._diverged += log.diverged
         for name, value in log.rewards.items():
             self._rewards[name] = self._rewards.get(name, 0.0) + float(value.mean())
         if log.finished is None:
             return
+        self._ended += len(log.finished.env_ids)
         counted = log.finished.counted
         family = env.family_of_env[log.finished.env_ids]
         for name, mask in {"success": log.finished.success, **log.finished.failures}.items():
@@ -51,6 +56,7 @@ class TrainingStatistics:
         """Close the iteration; mean weighted reward per step and term."""
         rewards = {name: total / max(self._steps, 1) for name, total in self._rewards.items()}
         self._recent.append(self._now)
+        self._recent_ends.append((self._diverged, self._ended))
         self._begin()
         return rewards
 
@@ -62,6 +68,11 @@ class TrainingStatistics:
         """Share of the recent episodes that arrived, NaN before the first one."""
         episodes = self._total("episodes", family)
         return self._total("success", family) / episodes if episodes else float("nan")
+
+    def diverged_share(self) -> float:
+        """Share of the recently ended episodes whose simulation diverged; 0 before the first one."""
+        diverged, ended = (sum(counts) for counts in zip(*self._recent_ends, strict=True))
+        return min(diverged / ended, 1.0) if ended else 0.0
 
     def failures(self, family: int | None = None) -> dict[str, float]:
         """Share of the recent episodes per cause of failure."""
@@ -83,9 +94,11 @@ class TrainingStatistics:
             )
         return reports
 
-    def state_dict(self) -> list[dict[str, list[float]]]:
-        return list(self._recent)
+    def state_dict(self) -> dict[str, Any]:
+        return {"recent": list(self._recent), "ends": list(self._recent_ends), "diverged": self.diverged}
 
-    def load_state_dict(self, state: list[dict[str, list[float]]]) -> None:
-        self._recent = deque(state, maxlen=WINDOW_ITERATIONS)
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self._recent = deque(state["recent"], maxlen=WINDOW_ITERATIONS)
+        self._recent_ends = deque(state["ends"], maxlen=WINDOW_ITERATIONS)
+        self.diverged = state["diverged"]
         self._begin()

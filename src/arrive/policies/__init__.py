@@ -72,7 +72,7 @@ def _exported(path: Path) -> PolicyFile:
     # Imported here because only this needs torch.
     from arrive.deployment.export import export_policy
     from arrive.deployment.policy_file import read_policy_file
-    from arrive.evaluation.policy import load_policy
+    from arrive.learning.policy import load_policy
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"policy{EXPORTED}"

@@ -1,5 +1,7 @@
 """Terrain levels that follow success, and the exploration reward that goes when it has done its work."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -121,6 +123,14 @@ class ExplorationSwitch:
         self._steps += 1
         if self._steps == self.CHECK_STEPS:
             self._decide()
+
+    def agree(self, any_of: Callable[[Tensor], Tensor]) -> None:
+        """Stop paying on a family as soon as one of the processes that train together does.
+
+        Args:
+            any_of: gives, for each flag of a bool tensor, whether it is set in any process.
+        """
+        self.active = ~any_of(~self.active)
 
     def _decide(self) -> None:
         earned, count = self._sums

@@ -5,18 +5,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import Tensor
 
-from arrive.config import Config, from_dict
+from arrive.config import Config
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
-from arrive.learning.checkpoint import POLICY_NAME, check_schema, load_checked
+from arrive.learning.checkpoint import POLICY_NAME, Origin, check_schema, load_policy_file
+from arrive.learning.networks import Network
 from arrive.learning.ppo import make_actor
 from arrive.policies import find_run
 
 CPU = torch.device("cpu")
+LOG_STD = "distribution.log_std_param"
+"""Name of the parameter with one entry per action."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Policy:
     schema: list[dict[str, Any]]
     commit: str
     samples: int
-    actor: MLPModel
+    actor: Network
     device: torch.device = CPU
     """Where it acts."""
 
@@ -56,23 +58,24 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
         device: where it acts, and where the environments that it is measured in live.
 
     Raises:
-        ArriveError: missing, truncated, foreign, or its networks do not fit its configuration.
+        ArriveError: missing, damaged, foreign, or its networks do not fit its configuration.
     """
     path = find_run(path)
     path = path / POLICY_NAME if path.is_dir() else path
-    content = load_checked(path)
-    if "actor" not in content:
-        raise ArriveError(f"{path} is a training checkpoint without a policy; use {POLICY_NAME} beside it")
-    config = from_dict(Config, content["config"])
-    size = content["schema"][-1]["stop"]
-    sample = TensorDict({POLICY: torch.zeros(1, size)}, batch_size=[1])
-    num_actions = len(content["actor"]["distribution.log_std_param"])
-    reflections = len(content["actor"].get("facing.side", ()))
-    actor = make_actor(config.ppo, sample, num_actions, reflections)
+    origin, weights = load_policy_file(path)
+    actor = _make_actor(origin, weights, path).to(device)
+    return Policy(path, origin.config, origin.schema, origin.commit, origin.samples, actor, torch.device(device))
+
+
+def _make_actor(origin: Origin, weights: dict[str, Tensor], path: Path) -> Network:
+    if LOG_STD not in weights:
+        raise ArriveError(f"the networks in {path} do not fit its configuration: there is no {LOG_STD}")
+    sample = TensorDict({POLICY: torch.zeros(1, origin.schema[-1]["stop"])}, batch_size=[1])
     try:
-        actor.load_state_dict(content["actor"])
-    except RuntimeError as error:
-        raise ArriveError(f"the networks in {path} do not fit its configuration: {error}") from error
-    return Policy(
-        path, config, content["schema"], content["commit"], content["samples"], actor.to(device), torch.device(device)
-    )
+        reflections = len(weights.get("facing.side", ()))
+        actor = make_actor(origin.config.ppo, sample, len(weights[LOG_STD]), reflections)
+        actor.load_state_dict(weights)
+    except (RuntimeError, TypeError) as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise ArriveError(f"the networks in {path} do not fit its configuration: {reason}") from error
+    return actor

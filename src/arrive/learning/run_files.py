@@ -1,0 +1,74 @@
+"""The files from which a training goes on: written together, read back into the very same state."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from arrive.config import Config
+from arrive.errors import ArriveError
+from arrive.learning.checkpoint import (
+    CHECKPOINT_NAME,
+    POLICY_NAME,
+    Origin,
+    check_fits,
+    load_checkpoint,
+    save_sealed,
+)
+from arrive.learning.ranks import Ranks
+from arrive.learning.rundir import commit
+from arrive.learning.state import Snapshot, TrainingState, snapshot_from
+
+
+def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: Path, ranks: Ranks) -> None:
+    """Write checkpoint and policy of a snapshot that was just taken.
+
+    The first process writes, with what the others' environments need to go on; all must call.
+
+    Raises:
+        ArriveError: the folder cannot be written or the disk is full.
+    """
+    others = ranks.gather(snapshot.own())[1:]
+    if not ranks.leads:
+        return
+    schema = state.env.observer.schema()
+    origin = Origin(config.robot, config, schema, commit(), snapshot.iteration, snapshot.samples).content()
+    save_sealed(origin | {"state": vars(snapshot) | {"others": others}}, folder / CHECKPOINT_NAME)
+    save_sealed(origin | {"actor": state.average.weights()}, folder / POLICY_NAME)
+
+
+def resume_run(state: TrainingState, config: Config, folder: Path, ranks: Ranks) -> None:
+    """Go on exactly where the folder's checkpoint stands.
+
+    Raises:
+        ArriveError: no readable checkpoint, or one of another robot, observation, configuration, device, number of
+            processes or version.
+    """
+    path = folder / CHECKPOINT_NAME
+    origin, saved = load_checkpoint(path)
+    check_fits(origin, config.robot, state.env.observer.schema(), path)
+    if origin.config != config:
+        raise ArriveError(f"{path} was made with another configuration than {folder}/config.json")
+    try:
+        state.restore(_part_of_rank(saved, state, ranks, path))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise ArriveError(
+            f"{path} was written by another version of arrive and cannot be resumed; "
+            f"begin a new run with its networks: --start-from {folder}. ({type(error).__name__})"
+        ) from error
+
+
+def _part_of_rank(saved: dict[str, Any], state: TrainingState, ranks: Ranks, path: Path) -> Snapshot:
+    """A checkpoint's state with this process's own parts in it.
+
+    Raises:
+        ArriveError: it was made by another number of processes or on another kind of device.
+    """
+    snapshot, others = snapshot_from(saved), saved["others"]
+    if len(others) + 1 != ranks.count:
+        raise ArriveError(f"{path} was made by {len(others) + 1} processes: resume it with as many")
+    if snapshot.device != state.env.device.type:
+        raise ArriveError(
+            f"{path} was made with --device {snapshot.device}: resume it so, or start a "
+            f"new run with --start-from {path.parent}"
+        )
+    return snapshot if ranks.leads else replace(snapshot, **others[ranks.rank - 1])

@@ -1,0 +1,109 @@
+"""The state of a training: everything that decides how it goes on, as one snapshot that can be saved and restored."""
+
+import copy
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from tensordict import TensorDict
+from torch import Tensor
+
+from arrive.config import Config
+from arrive.env import POLICY, ArriveEnv
+from arrive.learning.average import WeightAverage
+from arrive.learning.ppo import make_ppo
+from arrive.learning.ranks import Ranks
+from arrive.learning.statistics import TrainingStatistics
+
+OWN_PARTS = ("env", "observations", "statistics", "random", "random_cuda")
+"""The parts of a snapshot that each of several processes has of its own."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A training at one moment, as plain data and tensors that nothing else refers to."""
+
+    iteration: int
+    samples: int
+    elapsed_s: float
+    algorithm: dict[str, Any]
+    """Networks and optimiser, as rsl_rl saves them."""
+    average: dict[str, Tensor]
+    device: str
+    """Kind of device that the robots live on."""
+    env: dict[str, Any]
+    observations: Tensor
+    """(num_envs, size) what the next action is chosen from."""
+    statistics: dict[str, Any]
+    random: Tensor
+    random_cuda: Tensor | None
+
+    def own(self) -> dict[str, Any]:
+        """What this process alone knows of several that train together."""
+        return {name: getattr(self, name) for name in OWN_PARTS}
+
+
+def snapshot_from(state: dict[str, Any]) -> Snapshot:
+    """A snapshot from a checkpoint's state.
+
+    Raises:
+        KeyError: a part is missing.
+    """
+    return Snapshot(**{part.name: state[part.name] for part in fields(Snapshot)})
+
+
+class TrainingState:
+    """Networks, optimiser, environment, statistics and random numbers of one training in one process."""
+
+    def __init__(self, config: Config, env: ArriveEnv, ranks: Ranks):
+        """Draw fresh networks from the configuration's seed, the same in every process; other draws then differ."""
+        torch.manual_seed(config.seed)
+        self.env = env
+        self.observations: TensorDict = env.get_observations()
+        self.algorithm: PPO = make_ppo(config.ppo, env, self.observations, ranks)
+        self.average = WeightAverage(self.algorithm.get_policy(), config.ppo.averaged_iterations)
+        if not ranks.leads:
+            torch.manual_seed(config.seed + ranks.seed_offset)
+        self.statistics = TrainingStatistics(env)
+        self.iteration, self.samples, self.elapsed_s = 0, 0, 0.0
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Every parameter of actor and critic by name."""
+        networks = {"actor": self.algorithm.get_policy(), "critic": self.algorithm.critic}
+        return {f"{name} {n}": value for name, network in networks.items() for n, value in network.named_parameters()}
+
+    def snapshot(self) -> Snapshot:
+        """The training as it is now."""
+        cuda = self.env.device.type == "cuda"
+        parts = {
+            "iteration": self.iteration,
+            "samples": self.samples,
+            "elapsed_s": self.elapsed_s,
+            "algorithm": self.algorithm.save(),
+            "average": self.average.state_dict(),
+            "device": self.env.device.type,
+            "env": self.env.state_dict(),
+            "observations": self.observations[POLICY],
+            "statistics": self.statistics.state_dict(),
+            "random": torch.get_rng_state(),
+            "random_cuda": torch.cuda.get_rng_state(self.env.device) if cuda else None,
+        }
+        return Snapshot(**copy.deepcopy(parts))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on exactly as from the moment of the snapshot, which can be restored again.
+
+        Raises:
+            KeyError, RuntimeError: it is of another version or configuration.
+        """
+        self.iteration, self.samples, self.elapsed_s = snapshot.iteration, snapshot.samples, snapshot.elapsed_s
+        self.algorithm.load(copy.deepcopy(snapshot.algorithm), None, True)
+        self.average.load_state_dict(snapshot.average)
+        self.env.load_state_dict(snapshot.env)
+        observations = snapshot.observations.to(self.env.device, copy=True)
+        self.observations = TensorDict({POLICY: observations}, batch_size=[self.env.num_envs])
+        self.statistics.load_state_dict(copy.deepcopy(snapshot.statistics))
+        torch.set_rng_state(snapshot.random)
+        if snapshot.random_cuda is not None:
+            torch.cuda.set_rng_state(snapshot.random_cuda, self.env.device)
