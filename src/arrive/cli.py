@@ -1,5 +1,6 @@
 """The command line: `arrive train | eval | report | play | drive | export | verify | bench | list`."""
 
+import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +9,9 @@ from typing import Annotated, Literal
 import tyro
 
 from arrive.errors import ArriveError
+
+DEBUG = "--debug"
+"""Option of every command: problems show their traceback."""
 
 
 @dataclass(frozen=True)
@@ -192,8 +196,37 @@ Command = (
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command; a problem the user can solve is one line on standard error and exit status 1."""
-    command = tyro.cli(Command, prog="arrive", description=__doc__, args=arguments)
+    """Run a command; a problem is one line on standard error and exit status 1, with --debug also its traceback."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = DEBUG in arguments
+    words = [word for word in arguments if word != DEBUG]
+    command = tyro.cli(Command, prog="arrive", description=f"{__doc__} {DEBUG} shows tracebacks.", args=words)
+    try:
+        _run(command)
+    except (Exception, KeyboardInterrupt) as error:
+        if debug:
+            raise
+        print(f"arrive: {_one_line(error)}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _one_line(error: BaseException) -> str:
+    """What went wrong, for a person, whatever it was."""
+    if isinstance(error, ArriveError):
+        return str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+    if isinstance(error, MemoryError):
+        return "not enough memory for this; choose fewer robots (--num-envs), steps or episodes"
+    text = " ".join(str(error).split())
+    return f"unexpected {type(error).__name__}: {text:.300}. {DEBUG} shows where; please report it."
+
+
+def _run(command: Command) -> None:
+    # Read when torch is loaded: its idle threads sleep instead of spinning on cores that other processes need.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     # Imported here so that help and misspelt options answer at once.
     from arrive import commands
 
@@ -208,11 +241,7 @@ def main(arguments: list[str] | None = None) -> None:
         Bench: commands.bench,
         List: commands.list_names,
     }[type(command)]
-    try:
-        run(command)
-    except ArriveError as error:
-        print(f"arrive: {error}", file=sys.stderr)
-        sys.exit(1)
+    run(command)
 
 
 if __name__ == "__main__":

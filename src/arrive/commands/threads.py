@@ -7,14 +7,18 @@ import torch
 from arrive.errors import ArriveError
 from arrive.learning.ranks import processes_here
 
+THREADS_PER_CPU = 4
+"""More threads than this have no use and take memory."""
+
 
 def use_threads(threads: int) -> int:
     """Give torch as many threads as physics; MuJoCo's and torch's threads take turns.
 
     0 takes every CPU, or this process's share of them.
     """
-    if threads < 0:
-        raise ArriveError(f"--threads must be 0 or more, not {threads}")
+    most = THREADS_PER_CPU * (os.cpu_count() or 1)
+    if not 0 <= threads <= most:
+        raise ArriveError(f"--threads must be 0 to {most} on this machine of {os.cpu_count()} CPUs, not {threads}")
     threads = threads or max(len(os.sched_getaffinity(0)) // processes_here(), 1)
     torch.set_num_threads(threads)
     return threads
