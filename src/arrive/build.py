@@ -10,6 +10,7 @@ from arrive.config import Config
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.physics.device import make_physics
+from arrive.physics.motors import motor_network
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
 from arrive.task.task import Trial
@@ -55,6 +56,7 @@ def build_env(
         ArriveError: the configuration names something unknown or asks for nothing.
     """
     validate(config)
+    network = motor_network(config.physics)  # before the worlds, so that a bad file is told at once
     robot = get_robot(config.robot)
     families = [get_family(name) for name in config.terrain.families]
     for name in config.terrain.shares:
@@ -67,7 +69,7 @@ def build_env(
         device = "cpu" if placement.assignment is None else placement.assignment[0].device
     device = torch.device(device)
     pool = build_pool(config, robot, families, values, placement.layout, seed, progress).to(device)
-    physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device)
+    physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device, network)
     generator = torch.Generator(device).manual_seed(seed)
     task = get_task(config.task.name)(config, pool.rasters, generator, placement.trial)
     return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)

@@ -12,6 +12,7 @@ from arrive.deployment.inputs import Sensors
 from arrive.deployment.rotation import heading, matrix
 from arrive.errors import ArriveError
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
+from arrive.physics.motors import motor_network, network_motors
 from arrive.physics.world import compile_world, sensor_layout
 from arrive.robots import get_robot
 from arrive.terrain import Layout, Tile, build_tile, get_family
@@ -100,7 +101,7 @@ class SimulatedRobot:
             visuals: whether to add the shapes that are only looked at.
 
         Raises:
-            ArriveError: no such robot.
+            ArriveError: no such robot, or its actuator network cannot be used.
         """
         silence_mujoco()
         self.robot, self.tile = get_robot(config.robot), tile
@@ -109,6 +110,7 @@ class SimulatedRobot:
         self.model = compile_world(self.robot, tile, config.physics, friction, payload_kg, visuals)
         self.data = mujoco.MjData(self.model)
         self._decimation = config.physics.decimation
+        self._motors = network_motors(config.physics, self.robot, 1, motor_network(config.physics))
         self._crash_sensors = sensor_layout(self.robot).crash_contacts
         edges = [abs(box.center[axis]) + box.half_size[axis] for box in tile.boxes for axis in (0, 1)]
         self._reach = tile.height_field.half_extent if tile.height_field is not None else max(edges)
@@ -126,16 +128,26 @@ class SimulatedRobot:
         qpos = self.data.qpos
         qpos[:3] = *position, ground + self.robot.standing_height + DROP
         qpos[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
-        qpos[7:] = self.data.ctrl[:] = self.robot.default_joint_pos
+        qpos[7:] = self.robot.default_joint_pos
+        if self._motors is None:
+            self.data.ctrl[:] = qpos[7:]
+        else:
+            self._motors.reset(np.zeros(1, dtype=int))
         # Only for pictures; a whole `mj_forward` would leave a warm start behind that training does not have.
         mujoco.mj_kinematics(self.model, self.data)
         self._failed = False
 
     def step(self, joint_targets: np.ndarray) -> None:
         """Advance one policy step (20 ms by default) towards (joints,) joint targets [rad]."""
-        self.data.ctrl[:] = joint_targets
         try:
-            mujoco.mj_step(self.model, self.data, self._decimation)
+            if self._motors is None:
+                self.data.ctrl[:] = joint_targets
+                mujoco.mj_step(self.model, self.data, self._decimation)
+                return
+            for _ in range(self._decimation):
+                torque = self._motors.torque(joint_targets[None], self.data.qpos[None, 7:], self.data.qvel[None, 6:])
+                self.data.ctrl[:] = torque[0]
+                mujoco.mj_step(self.model, self.data)
         except mujoco.FatalError:
             self._failed = True
 

@@ -7,7 +7,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-MotorKind = Literal["dc", "ideal"]
+MotorKind = Literal["dc", "ideal", "network"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,9 @@ class Motor:
     """Inertia that the rotor adds to the joint: its own times the gear ratio squared [kg m^2]."""
 
 
-def motor_torque(motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: MotorKind = "dc") -> np.ndarray:
+def motor_torque(
+    motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: Literal["dc", "ideal"] = "dc"
+) -> np.ndarray:
     """Torque by the explicit formula; what the simulated motor is tested against.
 
     Beyond the no-load speed the limit changes sign: the back-EMF then brakes, as in a voltage-limited motor.
@@ -55,14 +57,15 @@ def motor_torque(motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: M
 
 
 def add_motors(spec: mujoco.MjSpec, joint_names: Sequence[str], motor: Motor, kind: MotorKind = "dc") -> None:
-    """Add one position-controlled actuator per joint, in order, and the rotors' inertia to a robot's spec.
+    """Add one actuator per joint, in order, and the rotors' inertia to a robot's spec.
 
     The inertia lets the drive keep its torque-speed limit at physics steps of 5 ms: without it the limit, which is
     taken at the start of a step, acts one step too late on a light shank.
 
     `dc` is MuJoCo's DC motor with a position input. At terminal voltage V it gives K / R * (V - K w), so limiting V to
     stall_torque * R / K limits the torque affinely in speed. K is free (only the ratio counts); R follows from the
-    no-load speed V / K. `ideal` is PD with the effort limit alone.
+    no-load speed V / K. `ideal` is PD with the effort limit alone. `network` takes a torque, which an actuator network
+    computes outside MuJoCo at every physics step.
     """
     for name in joint_names:
         spec.joint(name).armature = motor.rotor_inertia
@@ -78,6 +81,8 @@ def add_motors(spec: mujoco.MjSpec, joint_names: Sequence[str], motor: Motor, ki
                 controller=[motor.stiffness, 0.0, motor.damping, 0.0, 0.0, voltage],
                 ctrlspec=mujoco.mjtCtrlInput.mjINPUT_POS,
             )
+        elif kind == "network":
+            actuator.set_to_motor()
         else:
             actuator.set_to_position(kp=motor.stiffness, kv=motor.damping)
             actuator.forcelimited = True

@@ -8,6 +8,7 @@ import torch
 from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
+from arrive.actuation.network_motors import NetworkMotors
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
 from arrive.physics.engine import STATE_FIELDS, Readings
 from arrive.physics.world import sensor_layout
@@ -18,7 +19,13 @@ class CpuPhysics:
     """`Physics` by `mujoco.batch`: bit-identical at any number of threads."""
 
     def __init__(
-        self, robot: Robot, worlds: Sequence[mujoco.MjModel], num_envs: int, decimation: int, threads: int = 0
+        self,
+        robot: Robot,
+        worlds: Sequence[mujoco.MjModel],
+        num_envs: int,
+        decimation: int,
+        threads: int = 0,
+        motors: NetworkMotors | None = None,
     ):
         """Build the batch with every environment in the first world.
 
@@ -26,11 +33,13 @@ class CpuPhysics:
             worlds: compiled models of one layout.
             decimation: physics steps per policy step.
             threads: physics threads; 0 takes one per CPU.
+            motors: what gives the torques of worlds that were compiled with `physics.motor=network`.
         """
         silence_mujoco()
         self.num_envs = num_envs
         self.device = torch.device("cpu")
         self._decimation = decimation
+        self._motors = motors
         self._worlds = list(worlds)
         self._layout = sensor_layout(robot)
         self._num_feet = len(robot.foot_sites)
@@ -60,10 +69,12 @@ class CpuPhysics:
         ids = env_ids.numpy()
         self._state["qpos"][ids] = qpos.numpy()
         self._state["qvel"][ids] = qvel.numpy()
-        self._state["ctrl"][ids] = qpos.numpy()[:, 7:]
+        self._state["ctrl"][ids] = qpos.numpy()[:, 7:] if self._motors is None else 0.0
         self._state["qacc_warmstart"][ids] = 0.0
         self._state["time"][ids] = 0.0
         self._failed[ids] = False
+        if self._motors is not None:
+            self._motors.reset(ids)
 
     def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
         self._state["qvel"][env_ids.numpy(), :3] += lin_vel_w.numpy()
@@ -75,10 +86,19 @@ class CpuPhysics:
         if self._moved:
             self._batch.set_models([self._worlds[world] for world in self._world_of_env])
             self._moved = False
-        self._state["ctrl"][:] = joint_targets.numpy()
+        ids, targets = np.flatnonzero(~self._retired) if self._retired.any() else None, joint_targets.numpy()
+        if self._motors is None:
+            self._advance(ids, targets, self._decimation)
+            return
+        joint_pos, joint_vel = self._state["qpos"][:, 7:], self._state["qvel"][:, 6:]
+        for _ in range(self._decimation):
+            self._advance(ids, self._motors.torque(targets, joint_pos, joint_vel), 1)
+
+    def _advance(self, ids: np.ndarray | None, ctrl: np.ndarray, steps: int) -> None:
+        """Some physics steps with the same (num_envs, joints) targets or torques."""
+        self._state["ctrl"][:] = ctrl
         try:
-            ids = np.flatnonzero(~self._retired) if self._retired.any() else None
-            self._batch.step(ids, nstep=self._decimation)
+            self._batch.step(ids, nstep=steps)
         except SimulationError as error:
             self._failed[error.ids] = True
 
@@ -107,11 +127,15 @@ class CpuPhysics:
 
     def state_dict(self) -> dict[str, Tensor]:
         state = {name: torch.from_numpy(view.copy()) for name, view in self._state.items()}
+        if self._motors is not None:
+            state |= {name: torch.from_numpy(array) for name, array in self._motors.state().items()}
         return state | {"world_of_env": torch.from_numpy(self._world_of_env.copy())}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         for name, view in self._state.items():
             view[:] = state[name].numpy()
+        if self._motors is not None:
+            self._motors.load_state({name: tensor.numpy() for name, tensor in state.items()})
         self._world_of_env[:] = state["world_of_env"].numpy()
         self._moved = True
 

@@ -8,8 +8,10 @@ from typing import Literal
 import mujoco
 import torch
 
+from arrive.actuation.network import ActuatorNetwork
 from arrive.errors import ArriveError
 from arrive.physics.engine import Physics
+from arrive.physics.motors import network_motors
 from arrive.physics.options import PhysicsConfig
 from arrive.robots.robot import Robot
 
@@ -78,8 +80,12 @@ def make_physics(
     num_envs: int,
     threads: int,
     device: torch.device,
+    network: ActuatorNetwork | None = None,
 ) -> Physics:
     """The engine that the configuration names, or that belongs to the device.
+
+    Args:
+        network: of `physics.motor=network`, see `motor_network`.
 
     Raises:
         ArriveError: MuJoCo's own batch asked for on a GPU, or MuJoCo Warp where it is not installed.
@@ -89,9 +95,10 @@ def make_physics(
             raise ArriveError("physics.engine=mujoco runs on the CPU: choose --device cpu, or physics.engine=auto")
         from arrive.physics.cpu import CpuPhysics
 
-        return CpuPhysics(robot, worlds, num_envs, config.decimation, threads)
+        motors = network_motors(config, robot, num_envs, network)
+        return CpuPhysics(robot, worlds, num_envs, config.decimation, threads, motors)
     if not has_warp():
         raise ArriveError(f"MuJoCo Warp is not installed: {INSTALL_WARP}")
     from arrive.physics.warp import WarpPhysics
 
-    return WarpPhysics(robot, worlds, config, num_envs, device)
+    return WarpPhysics(robot, worlds, config, num_envs, device, network)

@@ -5,7 +5,9 @@ from typing import Literal
 
 import mujoco
 
+from arrive.actuation.clip import MotorClip
 from arrive.actuation.motor import MotorKind
+from arrive.errors import ArriveError
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
@@ -21,7 +23,13 @@ class PhysicsConfig:
     engine: Literal["auto", "mujoco", "warp"] = "auto"
     """`mujoco` on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` takes the one that suits the device."""
     motor: MotorKind = "dc"
-    """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone."""
+    """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone; `network`: an
+    actuator network, which `motor_file` names."""
+    motor_file: str = ""
+    """Actuator network of `motor=network`: a file written by `arrive actuator fit`."""
+    motor_clip: MotorClip = "affine"
+    """What cuts the torque of `motor=network`: the paper's `affine` torque-speed limit, the `constant` effort limit, or
+    `none`."""
     leg_contacts: bool = True
     """Whether the robot's legs collide with each other; `false`, for comparison, lets them pass through each other."""
     solver_iterations: int = 15
@@ -41,6 +49,15 @@ class PhysicsConfig:
     """How hard contacts are, 0 to 1: the softer, the faster a standing robot's feet creep."""
     max_contacts: int = 64
     """Contacts per robot for which MuJoCo Warp makes room; the CPU engine needs no bound."""
+
+    def __post_init__(self):
+        if (self.motor == "network") != bool(self.motor_file):
+            raise ArriveError(
+                "physics.motor=network and physics.motor_file=FILE go together; physics.motor is "
+                f"{self.motor!r} and physics.motor_file {self.motor_file!r}"
+            )
+        if self.motor != "network" and self.motor_clip != "affine":
+            raise ArriveError(f"physics.motor_clip is for physics.motor=network, not for {self.motor!r}")
 
     @property
     def control_dt(self) -> float:

@@ -12,12 +12,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from arrive.actuation.network import ActuatorNetwork
 from arrive.errors import ArriveError
 from arrive.physics.divergence import MAX_SPEED
 from arrive.physics.engine import STATE_FIELDS, Readings
 from arrive.physics.options import PhysicsConfig
 from arrive.physics.template import build_template, differing_fields, static_geoms
 from arrive.physics.warp_contacts import ContactCount, drop_false_contacts
+from arrive.physics.warp_motors import WarpMotors
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
 
@@ -45,12 +47,14 @@ class WarpPhysics:
         config: PhysicsConfig,
         num_envs: int,
         device: torch.device,
+        network: ActuatorNetwork | None = None,
     ):
         """Put the template and every world's own values on the device, with every environment in the first world.
 
         Args:
             worlds: compiled models of one layout, compiled with this `config`.
             device: a CUDA device, or the CPU.
+            network: what gives the torques of worlds that were compiled with `physics.motor=network`.
 
         Raises:
             ArriveError: the worlds differ in what MuJoCo Warp cannot vary.
@@ -74,10 +78,13 @@ class WarpPhysics:
                 njmax=template.njnt + ROWS_PER_CONTACT * config.max_contacts,
             )
             self._contacts = ContactCount(robot, template, self._data)
+            self._motors = WarpMotors(network, robot.motor, config.motor_clip, self._data) if network else None
         if template.nhfield:
             self._model.callback.contactfilter = drop_false_contacts
         self._model.opt.warn_overflow = 0  # reported below, and not by printing from the device
         self._state = {name: wp.to_torch(getattr(self._data, name)) for name in STATE_FIELDS}
+        self._motor_state = self._motors.state() if self._motors else {}
+        self._state |= self._motor_state
         self._sensors, self._torque = (wp.to_torch(getattr(self._data, n)) for n in ("sensordata", "actuator_force"))
         self._overflow = wp.to_torch(self._data.overflow)
         self._shared_loss = torch.zeros((), dtype=torch.bool, device=self.device)
@@ -147,6 +154,8 @@ class WarpPhysics:
         with wp.ScopedDevice(self._warp_device):
             self._data.overflow.zero_()
             for _ in range(self._decimation):
+                if self._motors:
+                    self._motors.launch()
                 mjw.step(self._model, self._data)
             self._contacts.launch()
 
@@ -167,7 +176,9 @@ class WarpPhysics:
     def reset(self, env_ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         self._state["qpos"][env_ids] = qpos.float()
         self._state["qvel"][env_ids] = qvel.float()
-        self._state["ctrl"][env_ids] = qpos[:, 7:].float()
+        self._state["ctrl"][env_ids] = 0.0 if self._motors else qpos[:, 7:].float()
+        for view in self._motor_state.values():
+            view[env_ids] = 0.0
         self._state["qacc_warmstart"][env_ids] = 0.0
         self._state["time"][env_ids] = 0.0
         self._overflow[env_ids] = 0
@@ -184,7 +195,7 @@ class WarpPhysics:
         Raises:
             ArriveError: all robots together had more contacts than there is room for.
         """
-        self._state["ctrl"].copy_(joint_targets)
+        (self._motors.targets if self._motors else self._state["ctrl"]).copy_(joint_targets)
         kept = {name: view[self._retired] for name, view in self._state.items()}
         self._launch()
         for name, values in kept.items():
