@@ -1,5 +1,6 @@
-"""The command line: `arrive train | eval | report | play | drive | export | verify | bench | list`."""
+"""The command line: `arrive train | eval | report | play | drive | export | verify | bench | actuator | list`."""
 
+import importlib
 import os
 import sys
 from dataclasses import dataclass, field
@@ -8,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from arrive.commands.actuator import Actuator
 from arrive.errors import ArriveError
 
 DEBUG = "--debug"
@@ -191,6 +193,7 @@ Command = (
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Actuator, tyro.conf.subcommand("actuator")]
     | Annotated[List, tyro.conf.subcommand("list")]
 )
 
@@ -227,21 +230,20 @@ def _one_line(error: BaseException) -> str:
 def _run(command: Command) -> None:
     # Read when torch is loaded: its idle threads sleep instead of spinning on cores that other processes need.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    # Imported here so that help and misspelt options answer at once.
-    from arrive import commands
-
-    run = {
-        Train: commands.train,
-        Eval: commands.evaluate,
-        Report: commands.report,
-        Drive: commands.drive,
-        Play: commands.play,
-        Export: commands.export,
-        Verify: commands.verify_file,
-        Bench: commands.bench,
-        List: commands.list_names,
+    module, function = {
+        Train: ("training", "train"),
+        Eval: ("evaluation", "evaluate"),
+        Report: ("evaluation", "report"),
+        Drive: ("drive", "drive"),
+        Play: ("play", "play"),
+        Export: ("export", "export"),
+        Verify: ("export", "verify_file"),
+        Bench: ("bench", "bench"),
+        Actuator: ("actuator", "actuator"),
+        List: ("names", "list_names"),
     }[type(command)]
-    run(command)
+    # Imported here so that help and misspelt options answer at once.
+    getattr(importlib.import_module(f"arrive.commands.{module}"), function)(command)
 
 
 if __name__ == "__main__":

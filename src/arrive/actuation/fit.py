@@ -25,9 +25,9 @@ class FitConfig:
     """How a network is trained."""
 
     architecture: Architecture = "lstm"
-    """`lstm`: two layers of eight units (legged_gym); `taps`: delayed inputs and softsign units (Hwangbo et al. 2019)."""
+    """`lstm`: legged_gym's kind; `taps`: delayed inputs and softsign units, Hwangbo et al. 2019."""
     units: tuple[int, ...] = ()
-    """Units of each hidden layer; 8 8 for `lstm`, whose layers are equally large, and 32 32 32 for `taps` by default."""
+    """Units of each hidden layer, equal for `lstm`; by default 8 8 for `lstm` and 32 32 32 for `taps`."""
     taps_s: tuple[float, ...] = (0.0, 0.01, 0.02)
     """Delays of the inputs of `taps` [s]."""
     epochs: int = 150
@@ -104,7 +104,9 @@ def split_trajectories(trajectories: Sequence[Trajectory]) -> Split:
     for part in parts:
         longest = max((len(t.torque) * t.period_s for t in part), default=0.0)
         if longest < WINDOW_S:
-            raise ArriveError(f"the logs are too short: each part needs {WINDOW_S:g} s in one piece, and one has {longest:g} s")
+            raise ArriveError(
+                f"the logs are too short: each part needs {WINDOW_S:g} s in one piece, and one has {longest:g} s"
+            )
     return Split(*parts)
 
 

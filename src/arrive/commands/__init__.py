@@ -1,11 +1,1 @@
-"""What each command does, one module per group."""
-
-from arrive.commands.bench import bench
-from arrive.commands.drive import drive
-from arrive.commands.evaluation import evaluate, report
-from arrive.commands.export import export, verify_file
-from arrive.commands.names import list_names
-from arrive.commands.play import play
-from arrive.commands.training import train
-
-__all__ = ["bench", "drive", "evaluate", "export", "list_names", "play", "report", "train", "verify_file"]
+"""What each command does, one module per group; imported when it is called, so that help answers at once."""

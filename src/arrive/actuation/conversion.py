@@ -1,0 +1,32 @@
+"""Networks of others, brought into the form of this software."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from arrive.actuation.network import ActuatorNetwork
+from arrive.errors import ArriveError
+
+
+def read_lstm_arrays(path: Path, period_s: float, data: str) -> ActuatorNetwork:
+    """An LSTM from plain arrays (NPZ) under PyTorch's names, `lstm.*` and `linear.*`, with `in_scale` and `out_scale`.
+
+    That is the content of legged_gym's actuator network; nothing from the file is executed.
+
+    Raises:
+        ArriveError: it cannot be read, or lacks an array, or has one of another shape.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name], dtype=np.float32) for name in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise ArriveError(f"cannot read {path}: {error}") from error
+    scales = [arrays.pop(name, np.empty(0)).ravel() for name in ("in_scale", "out_scale")]
+    if [len(scale) for scale in scales] != [2, 1]:
+        raise ArriveError(f"{path}: in_scale must have two values, for error and velocity, and out_scale one")
+    numbers = [float(value) for scale in scales for value in scale]
+    try:
+        return ActuatorNetwork("lstm", arrays, period_s, *numbers, data=data)
+    except ArriveError as error:
+        raise ArriveError(f"{path}: {error}") from error

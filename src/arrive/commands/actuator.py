@@ -1,0 +1,229 @@
+"""`arrive actuator record | fit | show | import`: networks that stand for a drive."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from arrive.errors import ArriveError
+
+
+@dataclass(frozen=True)
+class Record:
+    """Log a simulated series-elastic drive under excitation, so that fitting can be tried without hardware."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive_log.npz")
+    """File to write, .npz or .csv."""
+    joints: int = 40
+    """Joints side by side, each with a load of its own."""
+    seconds: float = 20.0
+    """Length of the log [s]."""
+    period_s: float = 0.005
+    """Time between samples, a multiple of 0.2 ms [s]."""
+    seed: int = 1
+    """Seed of targets and loads."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Train an actuator network on logged joints and measure it on those held out."""
+
+    logs: tyro.conf.Positional[tuple[Path, ...]]
+    """CSV or NPZ files with time [s], target, position [rad], velocity [rad/s] and torque [N m]."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
+    """File to write; a picture of predicted against measured torque goes beside it."""
+    period_s: float = 0.005
+    """Physics step of the simulation that will run it; a multiple of the logs' period [s]."""
+    architecture: Literal["lstm", "taps"] = "lstm"
+    """`lstm`: legged_gym's; `taps`: delayed inputs and softsign units, Hwangbo et al. 2019."""
+    units: tuple[int, ...] = ()
+    """Units of each hidden layer; 8 8 for `lstm` and 32 32 32 for `taps` by default."""
+    taps_s: tuple[float, ...] = (0.0, 0.01, 0.02)
+    """Delays of the inputs of `taps`, multiples of the period [s]."""
+    epochs: int = 150
+    """At most so many passes over the data."""
+    patience: int = 20
+    """Stops after so many passes without a smaller error on the trajectories kept for that."""
+    learning_rate: float = 5e-3
+    """First learning rate; it falls along a cosine."""
+    data: str = ""
+    """What the logs are, for whoever reads the file; their names by default."""
+    seed: int = 1
+    """Seed of first weights and order."""
+    threads: int = 0
+    """CPU threads; 0 takes every CPU."""
+
+
+@dataclass(frozen=True)
+class Show:
+    """Draw step and frequency response and the torque-speed plane of networks beside the robot's PD motor."""
+
+    files: tyro.conf.Positional[tuple[Path, ...]]
+    """Files written by `arrive actuator fit`."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("motors.png")
+    """Picture to write."""
+    clip: Literal["affine", "constant", "none"] = "affine"
+    """What cuts the networks' torque, as `physics.motor_clip`."""
+    robot: str = "anymal_c"
+    """Whose motor is drawn for comparison and whose limits cut."""
+    inertia: float = 0.2
+    """Of the load that the step turns, the rotor included [kg m^2]."""
+
+
+@dataclass(frozen=True)
+class Import:
+    """Bring an LSTM from plain arrays under PyTorch's names, such as legged_gym's, into a file of this format."""
+
+    file: tyro.conf.Positional[Path]
+    """NPZ file with `lstm.*`, `linear.*`, `in_scale` and `out_scale`."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
+    """File to write."""
+    period_s: float = 0.005
+    """Time between two calls of the network [s]."""
+    data: str = ""
+    """What it is, its authors and licence; the file's name by default."""
+
+
+Action = (
+    Annotated[Record, tyro.conf.subcommand("record")]
+    | Annotated[Fit, tyro.conf.subcommand("fit")]
+    | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
+)
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Fit, look at and bring in networks that stand for a drive, see docs/motors.md."""
+
+    action: tyro.conf.OmitArgPrefixes[tyro.conf.OmitSubcommandPrefixes[Action]] = field()
+
+
+def actuator(command: Actuator) -> None:
+    """Do what the action says."""
+    {Record: record, Fit: fit, Show: show, Import: import_}[type(command.action)](command.action)
+
+
+def record(options: Record) -> None:
+    """Simulate drives and write their log."""
+    import numpy as np
+
+    from arrive.actuation.excitation import excite, random_load
+    from arrive.actuation.series_elastic import FINE_STEP_S, SeriesElasticDrive, simulate
+
+    steps = round(options.seconds / options.period_s) if options.period_s > 0 else 0
+    fine = options.period_s / FINE_STEP_S
+    if options.joints < 1 or steps < 2 or abs(fine - round(fine)) > 1e-6:
+        raise ArriveError(
+            f"--joints must be at least 1, --period-s a multiple of {FINE_STEP_S:g}, and --seconds at least two periods"
+        )
+    if options.out.suffix not in (".npz", ".csv"):
+        raise ArriveError(f"{options.out}: a log is an .npz or a .csv file")
+    rng = np.random.default_rng(options.seed)
+    targets = excite(rng, steps, options.joints, options.period_s)
+    load = random_load(rng, steps, options.joints, options.period_s)
+    log = simulate(SeriesElasticDrive(), targets, load, options.period_s)
+    try:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        if options.out.suffix == ".npz":
+            np.savez(options.out, **log)
+        else:
+            _write_csv(options.out, log)
+    except OSError as error:
+        raise ArriveError(f"cannot write {options.out}: {error}") from error
+    print(f"log: {options.out} ({options.joints} joints, {steps * options.period_s:g} s, every {options.period_s:g} s)")
+
+
+def _write_csv(path: Path, log: dict) -> None:
+    """One row per sample and joint, joint after joint."""
+    names = [name for name in log if name != "time"]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["joint", "time", *names])
+        for joint in range(log["target"].shape[1]):
+            table = zip(log["time"], *(log[name][:, joint] for name in names), strict=True)
+            writer.writerows([joint, *(f"{value:.7g}" for value in row)] for row in table)
+
+
+def fit(options: Fit) -> None:
+    """Train a network, write it, and say and draw how good it is."""
+    from rich.progress import Progress, TextColumn
+
+    from arrive.actuation import fit as fitting
+    from arrive.actuation.logs import read_logs
+    from arrive.actuation.network_file import write_network
+    from arrive.actuation.pictures import draw_fit
+    from arrive.commands.threads import use_threads
+
+    for name in ("epochs", "patience", "period_s", "learning_rate"):
+        if not getattr(options, name) > 0:
+            raise ArriveError(f"--{name.replace('_', '-')} must be positive, not {getattr(options, name)}")
+    if not options.logs:
+        raise ArriveError("name at least one log; `arrive actuator record` makes one of a simulated drive")
+    use_threads(options.threads)
+    trajectories = read_logs(options.logs, options.period_s)
+    names = ("architecture", "units", "taps_s", "epochs", "patience", "learning_rate", "seed")
+    config = fitting.FitConfig(**{name: getattr(options, name) for name in names})
+    data = options.data or ", ".join(path.name for path in options.logs)
+    with Progress(*Progress.get_default_columns(), TextColumn("{task.fields[error]}"), transient=True) as bar:
+        task = bar.add_task("fitting", total=options.epochs, error="")
+
+        def progress(epoch: int, error_nm: float) -> None:
+            bar.update(task, completed=epoch, error=f"{error_nm:.2f} N m")
+
+        result = fitting.fit(trajectories, config, data, progress)
+    write_network(options.out, result.network)
+    picture = options.out.with_suffix(".png")
+    draw_fit(picture, result)
+    _print_errors(result, len(trajectories))
+    print(f"network: {options.out}, picture: {picture}")
+
+
+def _print_errors(result, trajectories: int) -> None:
+    lines = (("network", result.errors), ("best PD law", result.pd_errors))
+    print(f"{trajectories} trajectories, {result.epochs} epochs; on held-out trajectories:")
+    for name, errors in lines:
+        print(
+            f"  {name}: RMS {errors.rms_nm:.2f} N m, {errors.share:.1%} of the range of {errors.range_nm:.0f} N m, "
+            f"99 % within {errors.most_nm:.1f} N m"
+        )
+    print(f"  that PD law: {result.pd_gains[0]:.1f} N m/rad, {result.pd_gains[1]:.2f} N m s/rad")
+
+
+def show(options: Show) -> None:
+    """Draw networks beside the PD motor."""
+    from arrive.actuation.network_file import read_network
+    from arrive.actuation.pictures import draw_responses
+    from arrive.actuation.responses import network_drive, pd_drive
+    from arrive.physics import PhysicsConfig
+    from arrive.robots import get_robot
+
+    if not options.files:
+        raise ArriveError("name at least one network; `arrive actuator fit` makes one")
+    if not options.inertia > 0:
+        raise ArriveError(f"--inertia must be positive, not {options.inertia}")
+    motor = get_robot(options.robot).motor
+    networks = {path: read_network(path) for path in options.files}
+    drives = [network_drive(path.stem, network, options.clip) for path, network in networks.items()]
+    drives.insert(1, pd_drive("PD motor", motor, PhysicsConfig().timestep_s, "affine"))
+    draw_responses(options.out, drives, motor, options.inertia)
+    for path, network in networks.items():
+        units = "-".join(map(str, network.units))
+        error = "not measured" if network.error_nm is None else f"{network.error_nm:.2f} N m RMS"
+        print(f"{path}: {network.architecture} of {units} units every {network.period_s:g} s, error {error}")
+        print(f"  {network.data}")
+    print(f"picture: {options.out}")
+
+
+def import_(options: Import) -> None:
+    """Convert arrays of others."""
+    from arrive.actuation.conversion import read_lstm_arrays
+    from arrive.actuation.network_file import write_network
+
+    network = read_lstm_arrays(options.file, options.period_s, options.data or options.file.name)
+    write_network(options.out, network)
+    print(f"network: {options.out} ({'-'.join(map(str, network.units))} units)")
