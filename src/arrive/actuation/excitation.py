@@ -60,10 +60,10 @@ def excite(rng: np.random.Generator, steps: int, joints: int, period_s: float) -
 
 
 def random_load(rng: np.random.Generator, steps: int, joints: int, period_s: float) -> Load:
-    """Loads from a leg in the air to a robot on it, log-uniform, with pushes of up to 60 N m that change at 2 Hz."""
+    """Inertias from a shank's to a robot's, log-uniform; half of the joints are pushed too, by up to 60 N m at 2 Hz."""
     inertia = np.exp(rng.uniform(np.log(0.05), np.log(2.0), joints))
     knots = np.arange(0.0, steps * period_s + 1.0, 0.5)
     time = np.arange(steps) * period_s
-    pushing = rng.random(joints) < 0.7
+    pushing = rng.random(joints) < 0.5
     push = [np.interp(time, knots, rng.uniform(-60.0, 60.0, len(knots))) * on for on in pushing]
-    return Load(inertia, rng.uniform(0.0, 20.0, joints), np.where(pushing, 8.0, 0.3), np.stack(push, axis=1))
+    return Load(inertia, rng.uniform(0.0, 20.0, joints), np.where(pushing, 5.0, 0.3), np.stack(push, axis=1))
