@@ -21,7 +21,7 @@ SMALL = override(
 
 def test_the_raw_engine_makes_the_same_step_as_the_environment():
     env = build_env(SMALL, threads=1)
-    engine = RawEngine(env.physics, SMALL.physics.decimation, threads=1)
+    engine = RawEngine(env.physics, SMALL.physics, threads=1)
     generator = torch.Generator().manual_seed(3)
     for _ in range(5):
         actions = torch.randn(12, env.num_actions, generator=generator)

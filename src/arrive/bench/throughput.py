@@ -22,6 +22,7 @@ from arrive.learning.threads import one_torch_thread
 from arrive.learning.trainer import Trainer
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.engine import STATE_FIELDS
+from arrive.physics.options import PhysicsConfig
 
 RATES = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
 """What is measured, each in policy steps or samples per second."""
@@ -32,18 +33,23 @@ Progress = Callable[[int, int], None]
 class RawEngine:
     """`mujoco.batch` alone, fed with the models, states and actions that an environment's physics is about to step."""
 
-    def __init__(self, physics: CpuPhysics, decimation: int, threads: int):
-        self._physics, self._decimation = physics, decimation
+    def __init__(self, physics: CpuPhysics, config: PhysicsConfig, threads: int):
+        self._physics, self._decimation = physics, config.decimation
+        self._takes_targets = config.motor != "network"
         self._batch = Batch(physics.model_of_env(0), physics.num_envs, threads)
         self._views = {name: self._batch.bind(name) for name in STATE_FIELDS}
 
     def load(self, joint_targets: np.ndarray) -> None:
-        """Take over models and states; `joint_targets` is (num_envs, joints) [rad]."""
+        """Take over models and states; `joint_targets` is (num_envs, joints) [rad].
+
+        An actuator network's torques are not computed: those of the last physics step stay.
+        """
         self._batch.set_models([self._physics.model_of_env(i) for i in range(self._physics.num_envs)])
         for name, value in self._physics.state_dict().items():
             if name in self._views:
                 self._views[name][:] = value.numpy()
-        self._views["ctrl"][:] = joint_targets
+        if self._takes_targets:
+            self._views["ctrl"][:] = joint_targets
 
     def state(self, name: str) -> np.ndarray:
         """(num_envs, ...) one of `STATE_FIELDS`."""
@@ -115,7 +121,7 @@ class _Bench:
         self._trainer, self._env, self._log = trainer, env, log
         self._steps = trainer.config.ppo.num_steps
         self._samples = env.num_envs * self._steps
-        self._engine = RawEngine(env.physics, trainer.config.physics.decimation, threads)
+        self._engine = RawEngine(env.physics, trainer.config.physics, threads)
         self.clear()
 
     def clear(self) -> None:
