@@ -17,6 +17,7 @@ TINY = [
     "task.episode_s=0.4",
     "task.episode_min_s=0.4",
     "ppo.hidden=[16]",
+    "ppo.symmetry=false",
     "ppo.num_steps=8",
     "terrain.levels=2",
     "terrain.variants=1",
