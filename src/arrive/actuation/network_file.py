@@ -11,6 +11,7 @@ from safetensors.numpy import save
 
 from arrive.actuation.network import ActuatorNetwork, Architecture
 from arrive.errors import ArriveError, unknown_name
+from arrive.files import whole
 
 FORMAT = "arrive-actuator-1"
 UNITS = {"position_error": "rad", "velocity": "rad/s", "torque": "N m", "time": "s"}
@@ -35,11 +36,8 @@ def write_network(path: Path, network: ActuatorNetwork) -> None:
         **{name: getattr(network, name) for name in NUMBERS},
     }
     content = save(dict(network.weights), {name: json.dumps(value) for name, value in description.items()})
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        raise ArriveError(f"cannot write {path}: {error}") from error
+    with whole(path) as file:
+        file.write_bytes(content)
 
 
 def read_network(path: Path, period_s: float | None = None) -> ActuatorNetwork:

@@ -13,7 +13,7 @@ from arrive.actuation.clip import torque_limits
 from arrive.actuation.fit import Fit
 from arrive.actuation.motor import Motor
 from arrive.actuation.responses import Drive, frequency_response, loaded_step, locked_step, torque_at_speed
-from arrive.errors import ArriveError
+from arrive.files import whole
 from arrive.learning.curves import COLORS
 
 LOCKED_STEP_RAD, LOADED_STEP_RAD, SINE_RAD = 0.3, 0.5, 0.1
@@ -121,8 +121,5 @@ def _save(figure: Figure, path: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(COLORS_KEPT)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        picture.save(path, optimize=True)
-    except (OSError, ValueError) as error:
-        raise ArriveError(f"cannot write {path}: {error}") from error
+    with whole(path) as file:
+        picture.save(file, format="png", optimize=True)

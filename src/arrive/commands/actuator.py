@@ -114,6 +114,7 @@ def record(options: Record) -> None:
 
     from arrive.actuation.excitation import excite, random_load
     from arrive.actuation.series_elastic import FINE_STEP_S, SeriesElasticDrive, simulate
+    from arrive.files import whole
 
     steps = round(options.seconds / options.period_s) if options.period_s > 0 else 0
     fine = options.period_s / FINE_STEP_S
@@ -127,14 +128,11 @@ def record(options: Record) -> None:
     targets = excite(rng, steps, options.joints, options.period_s)
     load = random_load(rng, steps, options.joints, options.period_s)
     log = simulate(SeriesElasticDrive(), targets, load, options.period_s)
-    try:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
+    with whole(options.out) as file:
         if options.out.suffix == ".npz":
-            np.savez(options.out, **log)
+            np.savez(file, **log)
         else:
-            _write_csv(options.out, log)
-    except OSError as error:
-        raise ArriveError(f"cannot write {options.out}: {error}") from error
+            _write_csv(file, log)
     print(f"log: {options.out} ({options.joints} joints, {steps * options.period_s:g} s, every {options.period_s:g} s)")
 
 
