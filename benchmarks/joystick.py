@@ -24,11 +24,13 @@ from arrive.config import Config, from_dict
 from arrive.deployment import Controller, Joystick
 from arrive.deployment.goals import DEAD_ZONE
 from arrive.deployment.policy_file import PolicyFile
+from arrive.drive.driver import Driver
 from arrive.drive.script import random_script
-from arrive.drive.session import Drive, Moment, Tally, run
+from arrive.drive.session import Moment, Tally, advance, run
 from arrive.errors import ArriveError
 from arrive.policies import open_policy
-from arrive.simulation import SimulatedRobot, continued, make_tile
+from arrive.simulation import SimulatedRobot, continued
+from arrive.terrain.ground import ground_of
 
 DIRECTIONS = 8
 SPEEDS = 5
@@ -62,12 +64,12 @@ def sticks(policy: PolicyFile) -> list[float]:
 
 def walk(policy: PolicyFile, robot: SimulatedRobot, magnitude: float, direction: float, yaw: float) -> Walk:
     """Hold one stick and see where the robot goes."""
-    drive = Drive(robot, Controller(policy))
+    driver = Driver(robot, Controller(policy))
     robot.reset(yaw=yaw)
     stick = Joystick(magnitude * math.cos(direction), magnitude * math.sin(direction), yaw)
     moments: list[Moment] = []
     for _ in range(round((RUN_UP_S + MEASURED_S) / robot.control_dt)):
-        moments.append(drive.step(stick))
+        moments.append(advance(driver, stick))
         if moments[-1].fell:
             break
     measured = [moment for moment in moments if moment.time_s > RUN_UP_S + 1e-6] or moments[-1:]
@@ -88,13 +90,13 @@ def measure(policy: PolicyFile, repeats: int) -> list[Walk]:
 def flat_robot(policy: PolicyFile) -> SimulatedRobot:
     """On flat ground that does not end."""
     config: Config = from_dict(Config, policy.meta["training"]["config"])
-    return SimulatedRobot(config, continued(make_tile("flat")))
+    return SimulatedRobot(config, continued(ground_of("flat").build()))
 
 
 def hectic(policy: PolicyFile, seed: int) -> Tally:
     """Five minutes of sticks that change every 0.3 to 2 s."""
-    drive = Drive(flat_robot(policy), Controller(policy))
-    return run(drive, random_script(seed, HECTIC_S), HECTIC_S, lambda moment, tally: None, real_time=False)
+    driver = Driver(flat_robot(policy), Controller(policy))
+    return run(driver, random_script(seed, HECTIC_S), HECTIC_S, lambda moment, tally: None, real_time=False)
 
 
 def table(walks: list[Walk]) -> str:

@@ -11,13 +11,16 @@ import pytest
 from arrive import cli
 from arrive.config import Config, from_dict
 from arrive.deployment import Controller, ControlLog, Joystick, replay
+from arrive.drive.driver import Driver
 from arrive.drive.gamepad import TURN_RAD_S, Gamepad
+from arrive.drive.pace import LARGEST_DELAY_S
 from arrive.drive.script import HOLD_S, Script, random_script, read_script
-from arrive.drive.session import LARGEST_DELAY_S, Drive, Tally, run
+from arrive.drive.session import Tally, advance, run
 from arrive.drive.status import describe, summarise
 from arrive.errors import ArriveError
 from arrive.policies import open_policy
-from arrive.simulation import SimulatedRobot, continued, make_tile
+from arrive.simulation import SimulatedRobot, continued
+from arrive.terrain.ground import ground_of
 
 AHEAD = Joystick(1.0, 0.0, 0.0)
 HEADER = "time_s,forward,left,heading_rad\n"
@@ -28,9 +31,9 @@ def policy():
     return open_policy()
 
 
-def a_drive(policy, log: ControlLog | None = None, terrain: str = "flat") -> Drive:
+def a_drive(policy, log: ControlLog | None = None, terrain: str = "flat") -> Driver:
     config = from_dict(Config, policy.meta["training"]["config"])
-    return Drive(SimulatedRobot(config, continued(make_tile(terrain))), Controller(policy, log=log))
+    return Driver(SimulatedRobot(config, continued(ground_of(terrain).build())), Controller(policy, log=log))
 
 
 def nothing(moment, tally) -> None:
@@ -181,18 +184,18 @@ def test_a_fall_is_counted_and_the_robot_goes_on(policy):
     log = ControlLog()
     drive = a_drive(policy, log)
     for _ in range(50):
-        drive.step(AHEAD)
+        advance(drive, AHEAD)
     drive.robot.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
     drive.robot.data.qpos[2] = 0.3
     tally = Tally()
     for _ in range(20):
-        tally.add(moment := drive.step(AHEAD), 0.02)
+        tally.add(moment := advance(drive, AHEAD), 0.02)
         if moment.fell:
             break
     assert tally.falls == 1
     assert math.hypot(*drive.robot.base_pos_w[:2]) < 1e-9
-    assert drive.step(AHEAD).mode == "safe"
-    modes = [drive.step(AHEAD).mode for _ in range(150)]
+    assert advance(drive, AHEAD).mode == "safe"
+    modes = [advance(drive, AHEAD).mode for _ in range(150)]
     assert modes[:20] == ["safe"] * 20
     assert modes[30:] == ["joystick"] * 120
     assert drive.robot.base_pos_w[0] > 1.0
@@ -235,8 +238,8 @@ class Clock:
 def test_real_time_is_kept_or_what_is_lost_is_said(step_s, late_s, policy):
     clock = Clock(step_s)
     tally = run(a_drive(policy), clock, 2.0, nothing, True, clock.read, clock.sleep)
-    assert clock.now_s == pytest.approx(max(2.0, 100 * step_s))
-    assert tally.late_s == pytest.approx(late_s, abs=1e-9)
+    assert clock.now_s == pytest.approx(max(2.0, 100 * step_s), abs=0.021)
+    assert tally.late_s == pytest.approx(late_s, abs=step_s)
     assert ("too slow" in summarise(tally)) == (late_s > 0.0)
 
 
@@ -252,8 +255,8 @@ def test_ctrl_c_ends_a_drive_with_its_tally(policy):
 def test_the_arrow_shows_the_direction_as_the_robot_sees_it(policy):
     drive = a_drive(policy)
     drive.robot.reset(yaw=math.pi / 2)
-    assert "asked →" in describe(drive.step(AHEAD), Tally())
-    assert "asked stop" in describe(drive.step(Joystick(0.0, 0.0)), Tally())
+    assert "asked →" in describe(advance(drive, AHEAD), Tally())
+    assert "asked stop" in describe(advance(drive, Joystick(0.0, 0.0)), Tally())
 
 
 # The command.
@@ -274,6 +277,8 @@ def test_drive_by_a_file(tmp_path, capsys):
         (["moon"], "no policy 'moon'"),
         (["--terrain", "moon"], "unknown terrain"),
         (["--level", "20", "--terrain", "gap"], "levels are 0 to 19"),
+        (["--terrain", "gap=2"], "the width of gap is 0.1 to 1.4 m"),
+        (["--terrain", "gap=0.4", "--level", "2"], "not both"),
         (["--script", "absent.csv"], "cannot read absent.csv"),
         ([], "no gamepad"),
     ],

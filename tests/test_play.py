@@ -1,9 +1,11 @@
 """`arrive play` without a browser: the simulation behind the page, its clock, what is drawn, and what is refused."""
 
 import importlib.util
+import json
 import math
 import re
 import socket
+import struct
 import threading
 import time
 from pathlib import Path
@@ -14,31 +16,43 @@ import pytest
 
 from arrive import cli, policies
 from arrive.deployment.policy_file import read_policy_file
+from arrive.drive.pace import LARGEST_DELAY_S, Pace
 from arrive.errors import ArriveError
 from arrive.learning.policy import load_policy
-from arrive.play import shapes
+from arrive.play import colours, shapes
 from arrive.play.history import WINDOW_S, History
-from arrive.play.pace import LARGEST_DELAY_S, Pace
-from arrive.play.playground import LEVELS, TERRAIN_GROUP, Playground
+from arrive.play.playground import TERRAIN_GROUP, Playground
+from arrive.play.skills import choices, open_skill, solved_beside
 from arrive.play.stick import parse_stick
+from arrive.play.trail import WINDOW_S as WINDOW_TRAIL_S
+from arrive.play.trail import Trail
 from arrive.policies import DEFAULT, SHIPPED, open_policy, shipped_file
 from arrive.terrain import FAMILIES
+from arrive.terrain.ground import Ground, ground_of
 from arrive.terrain.tile import RASTER_HALF, cell_index
 
 RUN = Path(__file__).parents[1] / "policies" / "joystick"
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
+FLAT = ground_of("flat")
+
+
 @pytest.fixture(scope="module")
-def policy():
+def skill():
     """The shipped policy."""
-    return open_policy()
+    return open_skill(DEFAULT)
 
 
 @pytest.fixture
-def playground(policy):
+def playground(skill):
     """A robot that stands on flat ground."""
-    return Playground(policy)
+    return Playground(skill, FLAT)
+
+
+def hardest(terrain: str) -> Ground:
+    """A terrain at its hardest, all around the robot."""
+    return Ground(FAMILIES[terrain], FAMILIES[terrain].highest)
 
 
 def run(playground: Playground, seconds: float) -> None:
@@ -71,8 +85,8 @@ def test_a_target_out_of_reach_is_missed(playground):
     assert playground.messages[-1].startswith("not there in time")
 
 
-def test_a_target_stays_on_known_ground_at_the_height_of_training(policy):
-    playground = Playground(policy, "stairs", 5)
+def test_a_target_stays_on_known_ground_at_the_height_of_training(skill):
+    playground = Playground(skill, ground_of("stairs", 5))
     playground.send(3.0, 0.0, 5.0)
     ground = playground.hit(np.array([3.0, 0.0, 9.0]), DOWN)[2]
     assert ground > 0.2
@@ -81,15 +95,17 @@ def test_a_target_stays_on_known_ground_at_the_height_of_training(policy):
     assert max(map(abs, playground.target.position_w[:2])) < RASTER_HALF
 
 
-@pytest.mark.parametrize("bad", [(math.nan, 0.0, 5.0), (1.0, math.inf, 5.0), (1.0, 0.0, 0.0), (1.0, 0.0, math.nan)])
+@pytest.mark.parametrize(
+    "bad", [(math.nan, 0.0, 5.0), (1.0, math.inf, 5.0), (1.0, 0.0, 0.0), (1.0, 0.0, math.nan), (1.0, 0.0, 1e30)]
+)
 def test_a_target_that_is_none_is_refused(playground, bad):
     with pytest.raises(ArriveError, match="a target needs"):
         playground.send(*bad)
     assert playground.target is None
 
 
-def test_a_target_in_a_hole_is_remarked_upon(policy):
-    playground = Playground(policy, "gap", LEVELS - 1)
+def test_a_target_in_a_hole_is_remarked_upon(skill):
+    playground = Playground(skill, hardest("gap"))
     x, y = np.argwhere(~playground.robot.tile.target_valid)[0]
     center = (np.array([x, y]) + 0.5) * 0.05 - RASTER_HALF
     playground.send(*center, 5.0)
@@ -125,26 +141,26 @@ def test_the_terrain_changes_under_the_robot(playground):
     run(playground, 1.0)
     above = np.array([3.0, 0.0, 9.0])
     assert playground.hit(above, DOWN)[2] == pytest.approx(0.0)
-    playground.change_terrain("pit", 5)
+    playground.change(playground.skill, ground_of("pit", 5))
     assert playground.hit(above, DOWN)[2] != pytest.approx(0.0)
     assert playground.target is None
     assert np.hypot(*playground.robot.base_pos_w[:2]) == 0.0
     run(playground, 0.5)
     assert playground.command.mode == "stop"
-    assert "pit" in playground.ground
+    assert "pit" in playground.ground.words
 
 
-@pytest.mark.parametrize(("terrain", "level"), [("moon", 0), ("gap", LEVELS), ("gap", -1)])
-def test_an_unknown_terrain_changes_nothing(playground, terrain, level):
+def test_ground_that_cannot_be_built_changes_nothing(playground):
     robot = playground.robot
-    with pytest.raises(ArriveError):
-        playground.change_terrain(terrain, level)
-    assert (playground.robot, playground.terrain) == (robot, "flat")
+    with pytest.raises(ArriveError, match="gap"):
+        playground.change(playground.skill, Ground(FAMILIES["gap"], 9.0))
+    assert playground.robot is robot
+    assert playground.ground == FLAT
 
 
 @pytest.mark.parametrize("terrain", FAMILIES)
-def test_every_terrain_can_be_stood_on(policy, terrain):
-    playground = Playground(policy, terrain, LEVELS - 1)
+def test_every_terrain_can_be_stood_on(skill, terrain):
+    playground = Playground(skill, hardest(terrain))
     run(playground, 0.3)
     assert playground.command.mode == "stop", playground.command.reason
     assert playground.falls == 0
@@ -174,8 +190,8 @@ def carry_away(playground: Playground) -> None:
     ("terrain", "accident", "said"),
     [("flat", overturn, "fell over"), ("gap", drop, "hole"), ("rough", carry_away, "walked off")],
 )
-def test_a_robot_that_cannot_go_on_is_put_back(policy, terrain, accident, said):
-    playground = Playground(policy, terrain)
+def test_a_robot_that_cannot_go_on_is_put_back(skill, terrain, accident, said):
+    playground = Playground(skill, ground_of(terrain))
     playground.send(2.0, 0.0, 5.0)
     run(playground, 0.5)
     accident(playground)
@@ -190,6 +206,8 @@ def test_a_robot_that_cannot_go_on_is_put_back(policy, terrain, accident, said):
     clock = playground.time_s
     playground.send(2.0, 0.0, 5.0)
     run(playground, 0.2)
+    assert playground.command.mode == "safe", "the controller recovers as on a robot"
+    run(playground, 1.0)
     assert playground.time_s > clock, "the clock never goes back, or the controller would refuse to act"
     assert playground.command.mode == "target"
 
@@ -216,15 +234,83 @@ def test_readings_are_those_of_the_robot(playground):
     assert 0.5 < reading.distance < 3.0
 
 
-def test_two_sessions_with_the_same_seed_are_the_same(policy):
+def test_two_sessions_with_the_same_seed_are_the_same(skill):
     places = []
     for _ in range(2):
-        playground = Playground(policy, "steps", 2, seed=4)
+        playground = Playground(skill, ground_of("steps", 2), seed=4)
         playground.drive(0.5, 0.5, 0.0)
         playground.push(1.0)
         run(playground, 1.0)
         places.append(playground.robot.base_pos_w)
     np.testing.assert_array_equal(*places)
+
+
+# What a policy opens on.
+
+
+def measured(folder: Path, **solved: float | None) -> Path:
+    """A run folder with a policy and the result of a measurement."""
+    (folder / "policy.pt").write_bytes((RUN / "policy.pt").read_bytes())
+    families = {name: {"max_at_95": value} for name, value in solved.items()}
+    (folder / "difficulty.json").write_text(json.dumps({"families": families, "protocol": {}, "commit": ""}))
+    return folder
+
+
+def test_a_policy_opens_on_the_hardest_that_it_solves(tmp_path):
+    skill = open_skill(str(measured(tmp_path, stairs=0.2, slope=25.0, gap=None)))
+    ground = skill.ground("evaluation")
+    assert (ground.family.name, ground.value) == ("stairs", 0.2)
+    assert skill.value("slope") == 25.0
+    # Where nothing is known, a middle one of its own levels.
+    assert skill.value("gap") == FAMILIES["gap"].value(10, 20)
+    playground = Playground(skill, ground)
+    assert playground.aim[:2] == (5.0, 0.0)
+    assert playground.aim[2] == pytest.approx(13 * 0.2 + 0.5), "beyond the flight, on its landing"
+    assert playground.target is None, "it is drawn, and the robot waits"
+    playground.go(7.0)
+    assert playground.target.position_w == playground.aim
+    assert playground.target.arrive_at_s == pytest.approx(7.0)
+
+
+def test_a_policy_that_nobody_measured_opens_on_level_ground(skill):
+    assert skill.solved == {}
+    assert skill.ground("evaluation").family.name == "flat"
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{}", "[]", '{"families": 3}', '{"families": {"gap": {"max_at_95": "wide"}, "moon": {}}}']
+)
+def test_a_damaged_measurement_is_none(tmp_path, content):
+    (tmp_path / "difficulty.json").write_text(content)
+    assert solved_beside(tmp_path) == {}
+
+
+def test_the_chooser_says_what_policies_can(tmp_path, monkeypatch):
+    (tmp_path / "leaper").mkdir()
+    measured(tmp_path / "leaper", gap=0.5, flat=0.0, stairs=0.1)
+    monkeypatch.setattr(policies, "TRAINED", tmp_path)
+    offered = choices(DEFAULT)
+    assert offered["leaper: gap 0.5 m and 1 more"] == "leaper"
+    assert offered[DEFAULT] == DEFAULT
+
+
+def test_all_around_the_target_lies_beyond_the_terrain(skill):
+    playground = Playground(skill, ground_of("gap=0.5"))
+    x, y, _ = playground.aim
+    cell = cell_index(np.array([x, y]))
+    assert playground.robot.tile.target_valid[*cell]
+    assert playground.robot.tile.crossing[*cell]
+
+
+def test_the_policy_changes_under_the_robot(playground, tmp_path):
+    playground.drive(1.0, 0.0)
+    run(playground, 0.5)
+    clock, other = playground.time_s, open_skill(str(measured(tmp_path, stairs=0.1)))
+    playground.change(other, other.ground("evaluation"))
+    assert playground.skill is other
+    run(playground, 0.1)
+    assert playground.command.mode == "stop"
+    assert playground.time_s == pytest.approx(clock + 0.1)
 
 
 # Time.
@@ -308,9 +394,9 @@ def test_a_links_meshes_are_where_its_geoms_are(playground):
 
 
 @pytest.mark.parametrize("terrain", ["rough", "stairs", "slope_down", "gap"])
-def test_the_drawn_ground_is_the_one_walked_on(policy, terrain):
+def test_the_drawn_ground_is_the_one_walked_on(skill, terrain):
     scene = pytest.importorskip("arrive.play.scene")
-    playground = Playground(policy, terrain, 4)
+    playground = Playground(skill, ground_of(terrain, 4))
     mesh = shapes.joined(list(scene.link_meshes(playground.robot.model, 0, TERRAIN_GROUP).values()))
     assert mesh.vertices[:, 2].min() > scene.PARKED_BELOW
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
@@ -321,12 +407,79 @@ def test_the_drawn_ground_is_the_one_walked_on(policy, terrain):
         assert playground.hit(inside - 1e-4 * DOWN, DOWN)[2] == pytest.approx(inside[2], abs=2e-4)
 
 
-def test_lines_lie_on_the_ground(policy):
-    scene = pytest.importorskip("arrive.play.scene")
-    tile = Playground(policy, "pit", 6).robot.tile
-    ends = scene.draped_lines(tile).reshape(-1, 3)
-    heights = tile.heights[cell_index(ends[:, 0] + 1e-9), cell_index(ends[:, 1] + 1e-9)]
-    np.testing.assert_allclose(ends[:, 2] - scene.LINE_LIFT, heights, atol=1e-6)
+def read_glb(data: bytes) -> tuple[dict, bytes]:
+    """Table of contents and pieces of a binary glTF file."""
+    magic, version, size = struct.unpack_from("<4sII", data)
+    assert (magic, version, size) == (b"glTF", 2, len(data))
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def test_a_surface_is_written_as_gltf():
+    surfaces = pytest.importorskip("arrive.play.surfaces")
+    mesh = shapes.box((0.1, 0.2, 0.3))
+    document, pieces = read_glb(surfaces.robot_surface(mesh, (255, 0, 0)))
+    arrays = []
+    for view, accessor in zip(document["bufferViews"], document["accessors"], strict=True):
+        kind = np.uint32 if accessor["componentType"] == 5125 else np.float32
+        arrays.append(np.frombuffer(pieces, kind, view["byteLength"] // 4, view["byteOffset"]))
+    vertices, normals, faces = arrays[0].reshape(-1, 3), arrays[1].reshape(-1, 3), arrays[2].reshape(-1, 3)
+    assert volume(shapes.Triangles(vertices, faces)) == pytest.approx(8 * 0.1 * 0.2 * 0.3)
+    assert (np.einsum("ij,ij->i", vertices, normals) > 0.0).all(), "normals point outwards"
+    assert document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] == [1.0, 0.0, 0.0, 1.0]
+
+
+def test_the_ground_bears_its_texture_in_real_size():
+    surfaces = pytest.importorskip("arrive.play.surfaces")
+    box = shapes.box((1.0, 2.0, 0.5))
+    corners = box.vertices[box.faces].reshape(-1, 3)
+    places = surfaces.box_coordinates(corners).reshape(-1, 3, 2)
+    sides = corners.reshape(-1, 3, 3)
+    # A face's edges are as long on the picture as they are in the world.
+    for a, b in ((0, 1), (1, 2)):
+        np.testing.assert_allclose(
+            np.linalg.norm(places[:, b] - places[:, a], axis=1), np.linalg.norm(sides[:, b] - sides[:, a], axis=1)
+        )
+    document, _ = read_glb(surfaces.ground_surface(box, (128, 128, 128)))
+    assert document["images"][0]["mimeType"] == "image/png"
+
+
+# Any robot.
+
+
+def test_colours_follow_the_robots_own_names():
+    feet = tuple(f"{leg}_foot" for leg in ("L1", "L2", "L3", "R1", "R2", "R3"))
+    joints = tuple(f"{leg.partition('_')[0]}_{part}" for leg in feet for part in ("coxa", "femur", "tibia", "tarsus"))
+    assert colours.leg_names(feet) == ("L1", "L2", "L3", "R1", "R2", "R3")
+    assert set(colours.joint_kinds(joints, feet)) == {"coxa", "femur", "tibia", "tarsus"}
+    assert colours.joint_kinds(("waist", "LF_HAA"), ("LF_FOOT",)) == ("waist", "HAA")
+    assert len(set(colours.palette(6))) == 6
+    assert len(colours.palette(20)) == 20
+
+
+def test_the_trail_fades_and_breaks_where_a_foot_was_put_elsewhere():
+    trail = Trail(0.04)
+    assert len(trail.segments(np.zeros((6, 3)), np.zeros(3))[0]) == 0
+    feet = np.zeros((6, 3))
+    for _ in range(200):
+        feet = feet + np.array([0.01, 0.0, 0.0])
+        trail.append(feet)
+    ends, tints = trail.segments(np.full((6, 3), 200.0), np.zeros(3))
+    assert len(ends) == 6 * round(WINDOW_TRAIL_S / 0.04)
+    np.testing.assert_allclose(ends[:, 1] - ends[:, 0], np.tile((0.01, 0.0, 0.0), (len(ends), 1)), atol=1e-12)
+    assert tints[0].max() < 10
+    assert tints[-1, 1].min() == 200
+    trail.append(feet + 5.0)
+    assert len(trail.segments(np.zeros((6, 3)), np.zeros(3))[0]) == len(ends) - 6
+
+
+def test_a_mesh_of_a_description_is_drawn():
+    spec = mujoco.MjSpec()
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    spec.add_mesh(name="tetrahedron", uservert=corners.ravel())
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="tetrahedron")
+    assert volume(shapes.geom_triangles(spec.compile(), 0)) == pytest.approx(1 / 6)
 
 
 # Policies by name.
@@ -413,7 +566,7 @@ def test_the_command_serves_and_says_whether_it_kept_real_time(capsys):
     pytest.importorskip("viser")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    cli.main(["play", "--port", str(port), "--seconds", "0.5", "--terrain", "gap", "--level", "2"])
+    cli.main(["play", "--port", str(port), "--seconds", "0.5", "--terrain", "gap=0.4"])
     out = capsys.readouterr().out
     assert f"http://127.0.0.1:{port}" in out
     assert re.search(r"simulated \d+\.\d% of the 0\.\d s asked for; falls: 0", out)
@@ -431,22 +584,28 @@ def test_nothing_is_drawn_again_unless_it_changed():
 def test_what_the_command_is_asked_is_checked(capsys):
     pytest.importorskip("viser")
     assert "Valid:" in refused(capsys, "--terrain", "moon")
-    assert "levels are" in refused(capsys, "--terrain", "gap", "--level", "10")
+    assert "levels are 0 to 19" in refused(capsys, "--terrain", "gap", "--level", "20")
+    assert "0.1 to 1.4 m" in refused(capsys, "--terrain", "gap=4")
+    assert "not both" in refused(capsys, "--terrain", "gap=0.4", "--level", "2")
+    assert "--host is empty" in refused(capsys, "--host", "")
+    assert "--seconds" in refused(capsys, "--seconds", "nan")
     assert DEFAULT in refused(capsys, "nothing").partition("name of a policy:")[2]
 
 
 def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):
-    session_module = pytest.importorskip("arrive.play.session")
+    server_module = pytest.importorskip("arrive.play.server")
+    from arrive.play.session import Session
+
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    server = session_module.open_server("127.0.0.1", port)
+    server, _ = server_module.open_server("127.0.0.1", port)
     stop = threading.Event()
-    session = session_module.Session(server, playground)
+    session = Session(server, playground)
     thread = threading.Thread(target=session.run, args=(stop,))
     thread.start()
     try:
         session.post(lambda playground: playground.send(math.nan, 0.0, 1.0))
-        session.post(lambda playground: playground.change_terrain("gap", 2))
+        session.post(lambda playground: playground.change(playground.skill, ground_of("gap=0.4")))
         session.post(lambda playground: playground.drive(0.5, 0.0))
         deadline = time.monotonic() + 10.0
         while playground.command.mode != "joystick" and time.monotonic() < deadline:
@@ -456,6 +615,6 @@ def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):
         thread.join()
         server.stop()
     assert playground.command.mode == "joystick"
-    assert playground.terrain == "gap"
+    assert playground.ground == ground_of("gap=0.4")
     assert "a target needs" in messages(playground)
     assert session.pace.asked_s > 0.0

@@ -16,12 +16,13 @@ from arrive.errors import ArriveError
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import robust
-from arrive.simulation import FAR, SimulatedRobot, continued, make_tile
+from arrive.simulation import FAR, SimulatedRobot, continued
 from arrive.task.heights import HeightGrid, grid_heights
 from arrive.terrain import FAMILIES
+from arrive.terrain.ground import ground_of
 
 CONFIG = robust()
-FLAT = make_tile("flat")
+FLAT = ground_of("flat").build()
 FOLDED = np.array([0.0, 1.5, -2.7, 0.0, -1.5, 2.7] * 2)
 
 
@@ -35,8 +36,9 @@ def test_importing_and_stepping_needs_no_torch():
     program = (
         "import sys\n"
         "from arrive.presets import robust\n"
-        "from arrive.simulation import SimulatedRobot, make_tile\n"
-        "robot = SimulatedRobot(robust(), make_tile('gap', level=3))\n"
+        "from arrive.simulation import SimulatedRobot\n"
+        "from arrive.terrain.ground import ground_of\n"
+        "robot = SimulatedRobot(robust(), ground_of('gap', 3).build())\n"
         "robot.step(robot.sensors().joint_pos)\n"
         "sys.exit('torch' in sys.modules)\n"
     )
@@ -44,7 +46,7 @@ def test_importing_and_stepping_needs_no_torch():
 
 
 def test_physics_is_bit_identical_to_trainings():
-    robot = SimulatedRobot(CONFIG, make_tile("rough", level=9), friction=0.8, payload_kg=2.0)
+    robot = SimulatedRobot(CONFIG, ground_of("rough", 9).build(), friction=0.8, payload_kg=2.0)
     world = compile_world(robot.robot, robot.tile, CONFIG.physics, 0.8, 2.0)
     physics = CpuPhysics(robot.robot, [world], 1, CONFIG.physics.decimation, threads=1)
     start = torch.from_numpy(robot.data.qpos.copy())[None]
@@ -106,7 +108,7 @@ def test_a_diverged_simulation_is_a_crash():
 
 
 def test_a_robot_in_the_gap_fell():
-    robot = SimulatedRobot(CONFIG, make_tile("gap", value=1.4))
+    robot = SimulatedRobot(CONFIG, ground_of("gap=1.4").build())
     assert not robot.fell
     robot.reset((1.9, 0.0))
     assert robot.fell
@@ -114,7 +116,7 @@ def test_a_robot_in_the_gap_fell():
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_height_map_is_what_training_looks_up(family):
-    robot = SimulatedRobot(CONFIG, make_tile(family, level=9))
+    robot = SimulatedRobot(CONFIG, ground_of(family, 9, layout="training").build())
     grid = HeightGrid(CONFIG.observation)
     deployed = DeployedGrid(GridSpec(grid.points.tolist(), 0.1, 0.5, 1.0))
     rng, raster = np.random.default_rng(0), torch.from_numpy(robot.tile.heights)[None]
@@ -130,7 +132,7 @@ def test_the_height_map_is_what_training_looks_up(family):
 
 
 def test_continued_ground_goes_on_and_the_tile_itself_ends():
-    for tile, falls in ((FLAT, True), (continued(FLAT), False), (continued(make_tile("gap")), False)):
+    for tile, falls in ((FLAT, True), (continued(FLAT), False), (continued(ground_of("gap").build()), False)):
         robot = SimulatedRobot(CONFIG, tile)
         robot.reset((50.0, -30.0))
         standing(robot, 50)
@@ -138,14 +140,14 @@ def test_continued_ground_goes_on_and_the_tile_itself_ends():
         assert (robot.base_pos_w[2] < 0.0) == falls
     robot.reset((FAR + 1.0, 0.0))
     assert robot.left_ground
-    assert continued(make_tile("rough")).height_field is not None
+    assert continued(ground_of("rough").build()).height_field is not None
     # The gap's walls, which do not lie at the edge, stay where they are.
-    gap, wide = make_tile("gap"), continued(make_tile("gap"))
+    gap, wide = ground_of("gap").build(), continued(ground_of("gap").build())
     assert gap.boxes[1] == wide.boxes[1]
 
 
 def test_a_robot_starts_above_the_highest_ground_under_it():
-    robot = SimulatedRobot(CONFIG, make_tile("pit", value=0.8))
+    robot = SimulatedRobot(CONFIG, ground_of("pit=0.8").build())
     robot.reset((1.5, 0.0))
     assert robot.base_pos_w[2] > 0.8 + robot.robot.standing_height
     assert not robot.crashed
@@ -159,19 +161,44 @@ def test_visuals_do_not_change_the_physics():
     assert drawn.model.ngeom > plain.model.ngeom
 
 
-def test_tiles_by_name():
-    same, other = (make_tile("rough", level=9, seed=seed).heights for seed in (1, 2))
-    np.testing.assert_array_equal(same, make_tile("rough", level=9).heights)
+def test_ground_by_name_level_and_value():
+    same, other = (ground_of("rough", 9).build(seed).heights for seed in (1, 2))
+    np.testing.assert_array_equal(same, ground_of("rough", 9).build().heights)
     assert not np.array_equal(same, other)
-    assert make_tile("stairs", level=9, layout="evaluation").heights.max() == pytest.approx(13 * 0.45)
+    assert ground_of("stairs", 9, layout="evaluation").build().heights.max() == pytest.approx(13 * 0.45)
+    # A level is one of the policy's own, a value is the parameter itself.
+    assert ground_of("gap", 2, levels=20).value == pytest.approx(0.1 + 2 * 1.3 / 19)
+    assert ground_of(" gap = 0.4 ").words == "a gap to leap over, width 0.4 m"
+    assert ground_of("flat").words == "flat ground"
     for mistake, part in (
-        ({"family": "moon"}, "unknown terrain"),
-        ({"family": "gap", "level": 10}, "levels are 0 to 9"),
-        ({"family": "gap", "level": 1, "value": 0.5}, "not both"),
-        ({"family": "gap", "value": math.nan}, "finite"),
+        (("moon",), "unknown terrain"),
+        (("gap", 10), "levels are 0 to 9"),
+        (("gap=0.5", 1), "not both"),
+        (("gap=nan",), "0.1 to 1.4 m"),
+        (("gap=",), "0.1 to 1.4 m"),
+        (("slope=1e9",), "0 to 55 deg"),
+        (("flat=0",), "no parameter"),
     ):
         with pytest.raises(ArriveError, match=part):
-            make_tile(**mistake)
+            ground_of(*mistake)
+
+
+@pytest.mark.parametrize(("terrain", "layout", "goes_on"), [
+    ("slope=20", "evaluation", True), ("slope_down=20", "evaluation", True), ("stairs=0.2", "evaluation", True),
+    ("slope=20", "training", False), ("slope_down=20", "training", False),
+])  # fmt: skip
+def test_tilted_ground_goes_on_where_it_can(terrain, layout, goes_on):
+    tile = ground_of(terrain, layout=layout).build()
+    drawn = continued(tile)
+    assert (drawn is not tile) == goes_on
+    if goes_on:
+        model, data = (robot := SimulatedRobot(CONFIG, drawn)).model, robot.data
+        on_the_way, far_beside = (
+            mujoco.mj_ray(model, data, np.array([2.6, y, 20.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, None)
+            for y in (1.5, 150.0)
+        )
+        assert on_the_way != pytest.approx(20.0)
+        assert far_beside == pytest.approx(on_the_way)
 
 
 def test_an_unknown_robot_is_named():

@@ -99,9 +99,9 @@ class Drive:
     policy: tyro.conf.Positional[str | None] = field(default=None)
     """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
     terrain: str = "flat"
-    """Terrain family."""
-    level: int = 0
-    """Its level."""
+    """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]."""
+    level: int | None = None
+    """One of the policy's own levels, as in `arrive eval`; 0 by default."""
     seconds: float | None = None
     """How long; to the end of the script, or until Ctrl-C with a gamepad, by default [s]."""
     script: Path | None = None
@@ -118,14 +118,18 @@ class Play:
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
     """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
-    terrain: str = "flat"
-    """Terrain family, see `arrive list`."""
-    level: int = 0
-    """Its difficulty, 0 to 9."""
+    terrain: str | None = None
+    """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]; what the
+    policy was trained on by default, at the hardest value that it was measured to solve."""
+    level: int | None = None
+    """One of the policy's own levels, as in `arrive eval`."""
+    layout: Literal["evaluation", "training"] = "evaluation"
+    """`evaluation`: the terrain lies between the robot and its target; `training`: all around the robot."""
     port: int = 8080
     """Port of the page."""
     host: str = "127.0.0.1"
-    """Address that the page is served on; 0.0.0.0 lets everyone drive who reaches this machine."""
+    """Address that the page is served on. Beyond this machine (0.0.0.0 for all its addresses) the page asks for the
+    token in the address that is printed."""
     seconds: float | None = None
     """Stop after this time; with Ctrl-C by default [s]."""
 
@@ -234,8 +238,8 @@ def _run(command: Command) -> None:
         Train: ("training", "train"),
         Eval: ("evaluation", "evaluate"),
         Report: ("evaluation", "report"),
-        Drive: ("drive", "drive"),
-        Play: ("play", "play"),
+        Drive: ("drive", "run_drive"),
+        Play: ("play", "run_play"),
         Export: ("export", "export"),
         Verify: ("export", "verify_file"),
         Bench: ("bench", "bench"),

@@ -10,14 +10,12 @@ from arrive.config import Config
 from arrive.deployment.heights import HeightMap
 from arrive.deployment.inputs import Sensors
 from arrive.deployment.rotation import heading, matrix
-from arrive.errors import ArriveError
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
 from arrive.physics.motors import motor_network, network_motors
 from arrive.physics.world import compile_world, sensor_layout
 from arrive.robots import get_robot
-from arrive.terrain import Layout, Tile, build_tile, get_family
 from arrive.terrain.shapes import GROUND_HALF
-from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box
+from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box, Tile
 
 DROP = 0.02
 """Robots start this much above standing height [m]."""
@@ -27,53 +25,37 @@ MAP_HALF = 1.5
 """Half the edge of the height map around the robot [m]; the corners of the largest preset's grid are 1.18 m away."""
 FAR = 200.0
 """Half the edge of ground that is continued beyond its tile [m]."""
-
-
-def make_tile(
-    family: str,
-    level: int | None = None,
-    value: float | None = None,
-    levels: int = 10,
-    layout: Layout = "training",
-    seed: int = 1,
-) -> Tile:
-    """Build a tile by name.
-
-    Args:
-        level: difficulty, 0 to levels - 1; 0 where neither it nor a value is given. A family without a parameter has
-            the same ground on all of them.
-        value: the terrain's parameter itself, in the family's unit.
-
-    Raises:
-        ArriveError: no such family, level or value, or both a level and a value.
-    """
-    kind = get_family(family)
-    if level is not None and value is not None:
-        raise ArriveError("give a terrain's level or the value of its parameter, not both")
-    if value is None:
-        value = kind.value(level or 0, levels)
-    elif not math.isfinite(value):
-        raise ArriveError(f"the {kind.parameter} of {family} must be a finite number, not {value}")
-    return build_tile(kind, value, np.random.default_rng(seed), layout)
+TOUCH = 1e-6
+"""Blocks that end this near to the edge of the ground touch it [m]."""
 
 
 def continued(tile: Tile) -> Tile:
     """The tile with the blocks at its edge drawn out to `FAR`, so that nobody who drives falls off it.
 
-    Height fields and ramps cannot be drawn out; a tile whose edge has one is returned as it is.
+    A tile is returned as it is where it has a height field, or a tilted block ends at its edge.
     """
-    if tile.height_field is not None or any(abs(box.quat[0]) < 1.0 for box in tile.boxes):
+    if tile.height_field is not None:
         return tile
-    return replace(tile, boxes=tuple(_drawn_out(box) for box in tile.boxes))
+    boxes = tuple(_drawn_out(box) for box in tile.boxes)
+    return tile if None in boxes else replace(tile, boxes=boxes)
 
 
-def _drawn_out(box: Box) -> Box:
-    center, half = list(box.center), list(box.half_size)
+def _drawn_out(box: Box) -> Box | None:
+    """The block drawn out where it touches the edge of the ground, or None where it is tilted there."""
+    center, half = np.array(box.center), np.array(box.half_size)
+    turn = matrix(np.array(box.quat))
     for axis in (0, 1):
-        low, high = center[axis] - half[axis], center[axis] + half[axis]
-        low, high = (-FAR if low <= -GROUND_HALF else low), (FAR if high >= GROUND_HALF else high)
-        center[axis], half[axis] = (low + high) / 2, (high - low) / 2
-    return replace(box, center=tuple(center), half_size=tuple(half))
+        reach = float(np.abs(turn[axis]) @ half)
+        low, high = center[axis] - reach, center[axis] + reach
+        touches = low <= -GROUND_HALF + TOUCH, high >= GROUND_HALF - TOUCH
+        if not any(touches):
+            continue
+        own = int(np.argmax(np.abs(turn[axis])))
+        if abs(turn[axis, own]) < 1.0 - 1e-9:
+            return None
+        low, high = (-FAR if touches[0] else low), (FAR if touches[1] else high)
+        center[axis], half[own] = (low + high) / 2, (high - low) / 2
+    return replace(box, center=tuple(center.tolist()), half_size=tuple(half.tolist()))
 
 
 class SimulatedRobot:
@@ -95,7 +77,7 @@ class SimulatedRobot:
 
         Args:
             config: names the robot and the physics options; nothing in it is random here.
-            tile: the ground, see `make_tile`; `continued` gives it no edge.
+            tile: the ground, see `Ground.build`; `continued` gives it no edge.
             friction: sliding friction of every contact.
             payload_kg: mass added to the base [kg].
             visuals: whether to add the shapes that are only looked at.

@@ -13,30 +13,32 @@ if TYPE_CHECKING:
     from arrive.cli import Drive
 
 
-def drive(command: Drive) -> None:
+def run_drive(command: Drive) -> None:
     """Drive the deployment controller of a policy and say how it went."""
     need_onnxruntime()
     from arrive.deployment import Controller, ControlLog
     from arrive.drive import session
+    from arrive.drive.driver import Driver
     from arrive.drive.gamepad import Gamepad
     from arrive.drive.script import read_script
     from arrive.drive.status import StatusLine, summarise
     from arrive.policies import open_policy
-    from arrive.simulation import SimulatedRobot, continued, make_tile
+    from arrive.simulation import SimulatedRobot, continued
+    from arrive.terrain.ground import ground_of
 
     if command.seconds is not None and not 0.0 < command.seconds < math.inf:
         raise ArriveError(f"--seconds must be positive, not {command.seconds}")
     policy = open_policy(command.policy)
     config: Config = from_dict(Config, policy.meta["training"]["config"])
-    tile = make_tile(command.terrain, command.level, levels=config.terrain.levels, seed=command.seed)
+    tile = ground_of(command.terrain, command.level, config.terrain.levels).build(command.seed)
     script = read_script(command.script) if command.script else None
     controls = script or Gamepad()
     seconds = command.seconds or (script.end_s if script else math.inf)
     log = ControlLog() if command.log else None
-    going = session.Drive(SimulatedRobot(config, continued(tile)), Controller(policy, log=log))
+    driver = Driver(SimulatedRobot(config, continued(tile)), Controller(policy, log=log))
     status = StatusLine()
     try:
-        tally = session.run(going, controls, seconds, status.report, real_time=script is None)
+        tally = session.run(driver, controls, seconds, status.report, real_time=script is None)
     finally:
         status.close()
         controls.close()

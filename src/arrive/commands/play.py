@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import threading
 from typing import TYPE_CHECKING
 
@@ -12,21 +13,23 @@ if TYPE_CHECKING:
     from arrive.cli import Play
 
 
-def play(command: Play) -> None:
+def run_play(command: Play) -> None:
     """Serve the page until Ctrl-C or the time given, then say whether real time was kept."""
     for package in ("viser", "onnxruntime"):
         if importlib.util.find_spec(package) is None:
             raise ArriveError(f"this needs {package}: pip install 'arrive[play]'")
+    if command.seconds is not None and not 0.0 < command.seconds < math.inf:
+        raise ArriveError(f"--seconds must be positive and finite, not {command.seconds}")
     from arrive.play.playground import Playground
-    from arrive.play.session import Session, open_server
-    from arrive.policies import open_policy
+    from arrive.play.server import open_server
+    from arrive.play.session import Session
 
-    playground = Playground(open_policy(command.policy), command.terrain, command.level)
-    server = open_server(command.host, command.port)
+    playground = Playground(*_opening(command))
+    server, door = open_server(command.host, command.port)
     stop = threading.Event()
     session = Session(server, playground)
     try:
-        print(f"play: http://{command.host}:{server.get_port()} (Ctrl-C ends it)", flush=True)
+        print(f"play: {door.address} (Ctrl-C ends it)", flush=True)
         if command.seconds is not None:
             threading.Timer(command.seconds, stop.set).start()
         session.run(stop)
@@ -37,3 +40,18 @@ def play(command: Play) -> None:
         pace = session.pace
         kept = 1.0 - pace.dropped_s / max(pace.asked_s, 1e-9)
         print(f"simulated {kept:.1%} of the {pace.asked_s:.1f} s asked for; falls: {playground.falls}")
+
+
+def _opening(command: Play) -> tuple:
+    """The policy, and the ground that was asked for or that shows what it can."""
+    from arrive.play.skills import open_skill
+    from arrive.terrain.ground import Ground, ground_of
+
+    skill = open_skill(command.policy)
+    if command.terrain is None and command.level is None:
+        return skill, skill.ground(command.layout)
+    terrain = command.terrain or skill.ground(command.layout).family.name
+    ground = ground_of(terrain, command.level, skill.levels, command.layout)
+    if command.level is None and "=" not in terrain:
+        ground = Ground(ground.family, skill.value(ground.family.name), command.layout)
+    return skill, ground

@@ -8,12 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from arrive.deployment import Controller, Joystick
+from arrive.deployment import Joystick
 from arrive.deployment.goals import stick_speed
-from arrive.simulation import SimulatedRobot
-
-LARGEST_DELAY_S = 0.2
-"""Real time that is caught up with; what is later than that is lost, and the robot lags [s]."""
+from arrive.drive.driver import Driver
+from arrive.drive.pace import Pace
 
 
 class Controls(Protocol):
@@ -74,45 +72,27 @@ class Tally:
             self.along_m += moment.along * dt
 
 
-class Drive:
-    """A controller on a simulated robot.
-
-    A robot that crashes, falls or leaves the ground is put back to the tile's start with its heading, and the
-    controller is given no goal for one step: it goes to its safe stance and recovers as it would on a robot.
-    """
-
-    def __init__(self, robot: SimulatedRobot, controller: Controller):
-        """Both as they were made, at their start."""
-        self.robot, self.controller = robot, controller
-        self.time_s = 0.0
-        """Never goes back, unlike the robot's own clock [s]."""
-        self._fell = False
-
-    def step(self, stick: Joystick) -> Moment:
-        """One control step."""
-        robot, now_s, yaw = self.robot, self.time_s, self.robot.yaw
-        goal = None if self._fell else stick
-        command = self.controller.step(robot.sensors(now_s), goal, robot.height_map(now_s), now_s)
-        robot.step(command.targets)
-        self.time_s += robot.control_dt
-        self._fell = robot.crashed or robot.fell or robot.left_ground
-        heading = yaw if stick.heading_rad is None else stick.heading_rad
-        moment = Moment(
-            time_s=self.time_s,
-            commanded_speed=stick_speed(self.controller.policy.task, stick),
-            commanded_angle=heading + math.atan2(stick.left, stick.forward),
-            velocity_w=robot.base_lin_vel_w[:2],
-            yaw=yaw,
-            mode=command.mode,
-            fell=self._fell,
-        )
-        if self._fell:
-            robot.reset(yaw=yaw)
-        return moment
+def advance(driver: Driver, stick: Joystick) -> Moment:
+    """One control step by a stick; a robot that fails in it is put back."""
+    yaw = driver.robot.yaw
+    step = driver.step(stick)
+    heading = yaw if stick.heading_rad is None else stick.heading_rad
+    moment = Moment(
+        time_s=driver.time_s,
+        commanded_speed=stick_speed(driver.controller.policy.task, stick),
+        commanded_angle=heading + math.atan2(stick.left, stick.forward),
+        velocity_w=driver.robot.base_lin_vel_w[:2],
+        yaw=yaw,
+        mode=step.command.mode,
+        fell=bool(step.failure),
+    )
+    if step.failure:
+        driver.put_back()
+    return moment
 
 
 def run(
-    drive: Drive,
+    driver: Driver,
     controls: Controls,
     seconds: float,
     report: Callable[[Moment, Tally], None],
@@ -125,30 +105,24 @@ def run(
     Args:
         seconds: may be infinite [s].
         report: told every step.
-        real_time: a step each 20 ms by the clock, or as fast as the machine can.
+        real_time: a control step whenever one is due by the clock, or as fast as the machine can.
 
     Raises:
         ArriveError: the gamepad was disconnected.
     """
-    tally, dt = Tally(), drive.robot.control_dt
-    due_s = clock()
+    tally, pace = Tally(), Pace(driver.control_dt)
+    left = round(seconds / driver.control_dt) if math.isfinite(seconds) else math.inf
     try:
-        for _ in range(round(seconds / dt)) if math.isfinite(seconds) else iter(int, 1):
-            moment = drive.step(controls.stick(drive.time_s, drive.robot.yaw))
-            tally.add(moment, dt)
-            report(moment, tally)
-            if real_time:
-                due_s = _wait(due_s + dt, tally, clock, sleep)
+        while left > 0:
+            due = min(left, pace.steps_due(clock()) if real_time else 1)
+            for _ in range(int(due)):
+                moment = advance(driver, controls.stick(driver.time_s, driver.robot.yaw))
+                tally.add(moment, driver.control_dt)
+                report(moment, tally)
+            left -= due
+            tally.late_s = pace.dropped_s
+            if real_time and left > 0:
+                sleep(max(0.0, pace.next_s - clock()))
     except KeyboardInterrupt:
         pass
     return tally
-
-
-def _wait(due_s: float, tally: Tally, clock: Callable[[], float], sleep: Callable[[float], None]) -> float:
-    """Wait until a step is due; returns when the next one counts from [s]."""
-    early_s = due_s - clock()
-    if early_s > 0.0:
-        sleep(early_s)
-    lost_s = max(-early_s - LARGEST_DELAY_S, 0.0)
-    tally.late_s += lost_s
-    return due_s + lost_s

@@ -5,20 +5,29 @@ from collections.abc import Callable
 
 import viser
 
+from arrive.drive.pace import Pace
+from arrive.errors import ArriveError
 from arrive.play.history import History
-from arrive.play.pace import Pace
-from arrive.play.playground import LEVELS, Playground
+from arrive.play.playground import DURATION_S, DURATIONS_S, FASTEST_PUSH, Playground
 from arrive.play.plots import Plots
-from arrive.play.stick import CENTRE, parse_stick, stick_html
-from arrive.terrain import FAMILIES
+from arrive.play.skills import choices, open_skill
+from arrive.play.stick import CENTRE, page_html, parse_stick, stick_html
+from arrive.terrain import FAMILIES, Family, Layout
+from arrive.terrain.ground import Ground, varies
 
 Request = Callable[[Playground], None]
+LAYOUTS: dict[str, Layout] = {"one way, to be crossed": "evaluation", "all around, as in training": "training"}
+AWAY, OWN = "away from me", "where the robot looks"
 HELP = (
-    "Drag the target or click on the ground. Drive with the stick, the arrow keys (with shift at half speed) or a "
-    "gamepad. `R` reset, `P` push, `G` go again, `space` pause. W A S D and the mouse move the camera."
+    "Click on the ground or drag the target to send the robot there. Drive with the stick, the arrow keys (with shift "
+    "at half speed) or a gamepad. `G` go, `R` reset, `P` push, `M` slow motion, `space` pause. The mouse and W A S D "
+    "move the camera."
 )
-PLOTS_WIDTH = 320
+PLOTS_WIDTH = 280
 """Of the panel with the plots [px]."""
+SLOWEST, SLOW = 0.1, 0.2
+"""Least speed of time, and that of the slow-motion button; 1 is real time."""
+BRAND = (224, 122, 31)
 
 
 class Panel:
@@ -30,34 +39,34 @@ class Panel:
         Args:
             post: takes a request, to be carried out between two control steps.
         """
-        self._post = post
+        self._post, self._gui = post, server.gui
         self._driver: int | None = None
         """The browser that last moved the stick."""
         gui = server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND, control_width="small")
         gui.main_panel.dock_right()
-        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(224, 122, 31))
+        gui.add_html(page_html())
         self._status = gui.add_markdown("")
-        with gui.add_folder("Target"):
-            self._add_target(gui)
-        with gui.add_folder("Stick"):
+        self._add_actions(gui)
+        self._add_skill(gui, playground)
+        with gui.add_folder("Drive"):
             self._add_stick(gui)
-        with gui.add_folder("Ground"):
-            self._add_ground(gui, playground)
-        with gui.add_folder("World"):
-            self._add_world(gui)
-        gui.add_markdown(HELP)
+        with gui.add_folder("More", expand_by_default=False):
+            self._add_more(gui)
+            gui.add_markdown(HELP)
         plots = gui.add_panel()
-        with plots.add_tab("Plots"):
-            robot = playground.robot.robot
-            self._plots = Plots(gui, robot.joint_names, robot.foot_bodies)
+        self._plots_tab = plots.add_tab("Plots")
         plots.dock_left()
         plots.set_width(PLOTS_WIDTH)
+        plots.minimize()
+        self._plots: Plots | None = None
+        self.show(playground)
         server.on_client_disconnect(self._let_go)
 
     @property
     def factor(self) -> float:
-        """Simulated per real time that is asked for."""
-        return 0.0 if self._pause.value else self._speed.value
+        """Simulated per real time that is asked for, 0 to 1."""
+        return 0.0 if self._pause.value else _within(self._speed.value, SLOWEST, 1.0)
 
     @property
     def follow(self) -> bool:
@@ -65,37 +74,102 @@ class Panel:
         return self._follow.value
 
     @property
+    def trail(self) -> bool:
+        """Whether the feet leave a trail."""
+        return self._trail.value
+
+    @property
     def duration_s(self) -> float:
         """Time that the robot is given to get to a target [s]."""
-        return self._duration.value
+        return _within(self._duration.value, *DURATIONS_S)
 
     def send(self, x: float, y: float) -> None:
         """Ask for the robot to go to a place [m]."""
         duration_s = self.duration_s
         self._post(lambda playground: playground.send(x, y, duration_s))
 
+    def show(self, playground: Playground) -> None:
+        """Set the controls to the playground's policy and ground."""
+        family, value = playground.ground.family, playground.ground.value
+        self._names = choices(playground.skill.name)
+        self._policy.options = tuple(self._names)
+        self._policy.value = next(label for label, name in self._names.items() if name == playground.skill.name)
+        self._terrain.value = family.name
+        self._layout.value = next(label for label, layout in LAYOUTS.items() if layout == playground.ground.layout)
+        self._value.visible = varies(family)
+        if varies(family):
+            self._value.label, self._value.precision = parameter_words(family), slider_digits(family)
+            self._value.min, self._value.max = family.lowest, family.highest
+            self._value.step, self._value.value = 10.0 ** -slider_digits(family), value
+        robot = playground.robot.robot
+        if self._plots is not None:
+            self._plots.remove()
+        with self._plots_tab:
+            self._plots = Plots(self._gui, robot.joint_names, robot.foot_bodies)
+
     def update(self, playground: Playground, pace: Pace, history: History) -> None:
         """Say how things stand."""
         self._status.content = _status(playground, pace)
-        self._parameter.content = playground.ground
         self._plots.update(history, playground.time_s)
 
-    def _add_target(self, gui: viser.GuiApi) -> None:
-        self._duration = gui.add_slider("Time [s]", min=1.0, max=12.0, step=0.5, initial_value=5.0)
-        _on_press(gui, "Go again", "G", lambda: self._post(lambda playground: again(playground, self.duration_s)))
+    def _add_actions(self, gui: viser.GuiApi) -> None:
+        _on_press(gui, "Go", "G", lambda: self._go(), color=BRAND)
+        _on_press(gui, "Slow motion", "M", self._toggle_slow, color="gray")
+        _on_press(gui, "Reset", "R", lambda: self._post(Playground.reset), color="gray")
+
+    def _go(self) -> None:
+        duration_s = self.duration_s
+        self._post(lambda playground: playground.go(duration_s))
+
+    def _toggle_slow(self) -> None:
+        self._speed.value = SLOW if self._speed.value > SLOW else 1.0
+
+    def _add_skill(self, gui: viser.GuiApi, playground: Playground) -> None:
+        self._names = choices(playground.skill.name)
+        self._policy = gui.add_dropdown("Policy", tuple(self._names))
+        self._terrain = gui.add_dropdown("Terrain", tuple(FAMILIES))
+        self._value = gui.add_slider("Value", min=0.0, max=1.0, step=0.01, initial_value=0.0)
+        self._policy.on_update(_by_a_person(self._change_policy))
+        self._terrain.on_update(_by_a_person(self._change_terrain))
+        self._value.on_update(_by_a_person(self._change_value))
+
+    def _change_policy(self) -> None:
+        """Read a policy here, in a thread of the page, so that the robot goes on meanwhile."""
+        name, layout = self._names[self._policy.value], LAYOUTS[self._layout.value]
+        try:
+            skill = open_skill(name)
+            ground = skill.ground(layout)
+        except ArriveError as error:
+            message = str(error)
+            self._post(lambda playground: _refuse(message))
+            return
+        self._post(lambda playground: playground.change(skill, ground))
+
+    def _change_terrain(self) -> None:
+        family, layout = FAMILIES[self._terrain.value], LAYOUTS[self._layout.value]
+
+        def change(playground: Playground) -> None:
+            playground.change(playground.skill, Ground(family, playground.skill.value(family.name), layout))
+
+        self._post(change)
+
+    def _change_value(self) -> None:
+        family, layout = FAMILIES[self._terrain.value], LAYOUTS[self._layout.value]
+        value = _within(self._value.value, family.lowest, family.highest)
+        self._post(lambda playground: playground.change(playground.skill, Ground(family, value, layout)))
 
     def _add_stick(self, gui: viser.GuiApi) -> None:
         gui.add_html(stick_html())
-        self._stick = gui.add_text("Forward, left", CENTRE, hint="-1 to 1 each; written by stick, keys and gamepad")
-        self._frame = gui.add_dropdown(
-            "Forward is", ("away from me", "where the robot looks"), hint="What the stick's upper end means"
+        self._stick = gui.add_text(
+            "Stick", CENTRE, hint="forward and left, -1 to 1; written by stick, keys and gamepad"
         )
+        self._frame = gui.add_dropdown("Forward is", (AWAY, OWN), hint="What the stick's upper end means")
 
         @self._stick.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None and (stick := parse_stick(self._stick.value)) is not None:
                 self._driver = event.client_id
-                heading = view_heading(event.client) if self._frame.value == "away from me" else None
+                heading = view_heading(event.client) if self._frame.value == AWAY else None
                 self._post(lambda playground: playground.drive(*stick, heading))
 
     def _let_go(self, client: viser.ClientHandle) -> None:
@@ -104,26 +178,24 @@ class Panel:
             self._driver, self._stick.value = None, CENTRE
             self._post(lambda playground: playground.drive(0.0, 0.0))
 
-    def _add_ground(self, gui: viser.GuiApi, playground: Playground) -> None:
-        self._terrain = gui.add_dropdown("Terrain", tuple(FAMILIES), initial_value=playground.terrain)
-        self._level = gui.add_slider("Level", min=0, max=LEVELS - 1, step=1, initial_value=playground.level)
-        self._parameter = gui.add_markdown("")
-
-        def change(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                terrain, level = self._terrain.value, self._level.value
-                self._post(lambda playground: playground.change_terrain(terrain, level))
-
-        self._terrain.on_update(change)
-        self._level.on_update(change)
-
-    def _add_world(self, gui: viser.GuiApi) -> None:
-        self._speed = gui.add_slider("Speed of time", min=0.1, max=1.0, step=0.1, initial_value=1.0)
+    def _add_more(self, gui: viser.GuiApi) -> None:
+        self._duration = gui.add_slider(
+            "Time [s]", min=DURATIONS_S[0], max=DURATIONS_S[1], step=0.5, initial_value=DURATION_S
+        )
+        self._layout = gui.add_dropdown("Layout", tuple(LAYOUTS))
+        self._layout.on_update(_by_a_person(self._change_value))
+        self._speed = gui.add_slider("Speed of time", min=SLOWEST, max=1.0, step=0.1, initial_value=1.0)
         self._pause = gui.add_checkbox("Pause", False)
-        self._follow = gui.add_checkbox("Follow", False)
-        push = gui.add_slider("Push [m/s]", min=0.2, max=3.0, step=0.2, initial_value=1.0)
-        _on_press(gui, "Push", "P", lambda: self._post(lambda playground: playground.push(push.value)))
-        _on_press(gui, "Reset", "R", lambda: self._post(Playground.reset))
+        self._follow = gui.add_checkbox("Follow", True)
+        self._trail = gui.add_checkbox("Trail", True)
+        push = gui.add_slider("Push [m/s]", min=0.2, max=FASTEST_PUSH, step=0.2, initial_value=1.0)
+        _on_press(
+            gui,
+            "Push",
+            "P",
+            lambda: self._post(lambda playground: playground.push(_within(push.value, 0.2, FASTEST_PUSH))),
+            color="gray",
+        )
         pause = gui.add_command("Pause", hotkey="space")
 
         @pause.on_trigger
@@ -131,11 +203,14 @@ class Panel:
             self._pause.value = not self._pause.value
 
 
-def again(playground: Playground, duration_s: float) -> None:
-    """Send the robot to its target once more, with new time; without a target nothing happens."""
-    if playground.target is not None:
-        x, y, _ = playground.target.position_w
-        playground.send(x, y, duration_s)
+def parameter_words(family: Family) -> str:
+    """A family's parameter with its unit, such as "Width [m]"."""
+    return f"{family.parameter.capitalize()} [{family.unit}]" if family.unit else family.parameter.capitalize()
+
+
+def slider_digits(family: Family) -> int:
+    """Decimal places of a parameter such that its range has at least twenty steps."""
+    return max(0, -math.floor(math.log10((family.highest - family.lowest) / 20.0)))
 
 
 def view_heading(client: viser.ClientHandle) -> float:
@@ -144,17 +219,38 @@ def view_heading(client: viser.ClientHandle) -> float:
     return math.atan2(y, x)
 
 
-def _on_press(gui: viser.GuiApi, label: str, hotkey: str, act: Callable[[], None]) -> None:
+def _within(value: float, low: float, high: float) -> float:
+    """A browser's number within its range; `low` for NaN."""
+    return min(max(low, value), high)
+
+
+def _refuse(message: str) -> None:
+    raise ArriveError(message)
+
+
+def _by_a_person(act: Callable[[], None]) -> Callable[[viser.GuiEvent], None]:
+    """A callback that does something when a browser changes a control, not when this program does."""
+
+    def react(event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            act()
+
+    return react
+
+
+def _on_press(gui: viser.GuiApi, label: str, hotkey: str, act: Callable[[], None], color: object) -> None:
     """A button and a key that do the same."""
-    gui.add_button(f"{label} ({hotkey})").on_click(lambda _: act())
+    gui.add_button(f"{label} ({hotkey})", color=color).on_click(lambda _: act())
     gui.add_command(label, hotkey=hotkey).on_trigger(lambda _: act())
 
 
 def _status(playground: Playground, pace: Pace) -> str:
     command, target = playground.command, playground.target
-    lines = [f"**{command.mode}**{': ' if command.reason else ''}{command.reason}"]
+    lines = [f"**{playground.skill.name}** on {playground.ground.words}"]
+    lines.append(f"**{command.mode}**{': ' if command.reason else ''}{command.reason}")
     if target is not None:
         left = max(0.0, target.arrive_at_s - playground.time_s)
         lines.append(f"{playground.distance:.2f} m to the target, {left:.1f} s left")
     lines.append(f"{playground.time_s:.1f} s at {pace.factor:g} x real time, falls: {playground.falls}")
-    return "  \n".join(lines) + "\n\n" + "\n".join(f"- {message}" for message in playground.messages)
+    said = list(playground.messages)[-2:]
+    return "  \n".join(lines) + "\n\n" + "\n".join(f"- {message}" for message in said)

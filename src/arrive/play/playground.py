@@ -7,20 +7,25 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from arrive.config import Config, from_dict
 from arrive.deployment import Controller, Goal, JointCommand, Joystick, Target
 from arrive.deployment.goals import DEAD_ZONE
-from arrive.deployment.policy_file import PolicyFile
+from arrive.drive.driver import Driver
 from arrive.errors import ArriveError
 from arrive.physics.world import sensor_layout
-from arrive.simulation import SimulatedRobot, continued, make_tile
-from arrive.terrain import get_family
-from arrive.terrain.tile import RASTER_HALF, cell_index
+from arrive.play.skills import Skill
+from arrive.simulation import SimulatedRobot, continued
+from arrive.terrain.build import EVALUATION_TARGET
+from arrive.terrain.ground import Ground
+from arrive.terrain.tile import RASTER_HALF, Tile, cell_index
 
-LEVELS = 10
-"""Levels between each family's easiest and hardest parameter, as in training."""
+DURATION_S = 8.0
+"""Time that a robot is given unless a person says otherwise: the paper's for its evaluation target [s]."""
+DURATIONS_S = (1.0, 12.0)
+"""Shortest and longest time that a person can give [s]."""
 MARGIN = 0.5
 """Targets stay this far within the tile's raster [m]."""
+FASTEST_PUSH = 3.0
+"""Largest change of velocity by a push [m/s]."""
 STOP = Joystick(0.0, 0.0)
 MESSAGES = 5
 """Messages that are kept."""
@@ -50,51 +55,57 @@ class Playground:
     message says why.
     """
 
-    def __init__(self, policy: PolicyFile, terrain: str = "flat", level: int = 0, seed: int = 1):
+    def __init__(self, skill: Skill, ground: Ground, seed: int = 1):
         """Stand the robot on a terrain.
 
         Args:
-            policy: decides the physics too: that of its training.
+            skill: the policy, which decides the physics too: that of its training.
             seed: of random terrain and of the direction of pushes.
 
         Raises:
-            ArriveError: no such terrain or level, or the policy is for another configuration than this version's.
+            ArriveError: the terrain cannot be built, or the policy is for another configuration than this version's.
         """
-        self.config: Config = from_dict(Config, policy.meta["training"]["config"])
-        self.controller = Controller(policy)
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         """What happened, newest last."""
-        self.time_s = 0.0
-        """Simulated so far; unlike the robot's own clock it never goes back [s]."""
-        self.falls = 0
         self._seed, self._rng = seed, np.random.default_rng(seed)
-        self.change_terrain(terrain, level)
+        self.skill, self.ground = skill, ground
+        self.driver = Driver(self._robot(skill, ground), Controller(skill.policy))
+        self._start()
+        self.aim = self._point(*first_aim(self.robot.tile, ground))
+        """Where a target is drawn, in the world; `go` sends the robot there [m]."""
 
-    def change_terrain(self, terrain: str, level: int) -> None:
-        """Put the robot on another tile.
+    def change(self, skill: Skill, ground: Ground) -> None:
+        """Put a robot on another ground, run by another policy.
 
         Raises:
-            ArriveError: no such terrain or level; nothing changes.
+            ArriveError: the terrain cannot be built, or the policy is for another configuration; nothing changes.
         """
-        tile = make_tile(terrain, level, levels=LEVELS, seed=self._seed)
-        self.robot = SimulatedRobot(self.config, continued(tile), visuals=True)
-        self.terrain, self.level = terrain, level
-        self._feet = sensor_layout(self.robot.robot).foot_contacts
-        self.messages.append(f"on {self.ground}")
+        robot, controller = self._robot(skill, ground), Controller(skill.policy)
+        self.driver.restart(robot, controller)
+        self.skill, self.ground = skill, ground
         self._start()
+        self.aim = self._point(*first_aim(robot.tile, ground))
+        self.messages.append(f"{skill.name} on {ground.words}")
 
     @property
-    def ground(self) -> str:
-        """The terrain in words."""
-        family = get_family(self.terrain)
-        if family.lowest == family.highest:
-            return family.description
-        return f"{family.description}, {family.parameter} {family.value(self.level, LEVELS):.2g} {family.unit}".strip()
+    def robot(self) -> SimulatedRobot:
+        """The robot on its tile."""
+        return self.driver.robot
 
     @property
     def control_dt(self) -> float:
         """Simulated time of a step [s]."""
-        return self.robot.control_dt
+        return self.driver.control_dt
+
+    @property
+    def time_s(self) -> float:
+        """Simulated so far; never goes back [s]."""
+        return self.driver.time_s
+
+    @property
+    def falls(self) -> int:
+        """How often the robot was put back after a fall."""
+        return self.driver.falls
 
     @property
     def target(self) -> Target | None:
@@ -108,13 +119,13 @@ class Playground:
 
     def step(self) -> None:
         """Make one control step."""
-        now_s = self.time_s
-        sensors, heights = self.robot.sensors(now_s), self.robot.height_map(now_s)
-        self.command: JointCommand = self.controller.step(sensors, self.goal, heights, now_s)
-        self.robot.step(self.command.targets)
-        self.time_s += self.control_dt
+        step = self.driver.step(self.goal)
+        self.command = step.command
         self._judge()
-        self._look_after()
+        if step.failure:
+            self.messages.append(f"{step.failure}; put back to the start")
+            self.driver.put_back()
+            self.goal = STOP
 
     def read(self) -> Reading:
         """What the panels show now."""
@@ -124,28 +135,39 @@ class Playground:
             speed=float(np.hypot(*self.robot.base_lin_vel_w[:2])),
             distance=self.distance,
             torque=data.actuator_force.copy(),
-            contact=data.sensordata[self._feet] > 0,
+            contact=data.sensordata[sensor_layout(self.robot.robot).foot_contacts] > 0,
         )
 
-    def send(self, x: float, y: float, duration_s: float) -> None:
+    def feet(self) -> np.ndarray:
+        """(feet, 3) centres of the feet in the world [m]."""
+        return np.array([self.robot.data.site(name).xpos for name in self.robot.robot.foot_sites])
+
+    def send(self, x: float, y: float, duration_s: float = DURATION_S) -> None:
         """Send the robot to a place, to be there in a while.
 
         Args:
             x, y: in the world, cut to where the ground is known [m].
-            duration_s: from now [s].
+            duration_s: from now, within `DURATIONS_S` [s].
 
         Raises:
-            ArriveError: not finite, or no time to get there.
+            ArriveError: the place is not finite, or the time not within its range.
         """
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(duration_s) and duration_s > 0.0):
-            raise ArriveError(f"a target needs a finite place and a time above 0 s, not ({x}, {y}) in {duration_s} s")
+        if not (math.isfinite(x) and math.isfinite(y) and DURATIONS_S[0] <= duration_s <= DURATIONS_S[1]):
+            low, high = DURATIONS_S
+            raise ArriveError(
+                f"a target needs a finite place and {low:g} to {high:g} s, not ({x}, {y}) in {duration_s} s"
+            )
         edge = RASTER_HALF - MARGIN
         place = np.clip([x, y], -edge, edge)
         if not self.robot.tile.target_valid[*cell_index(place)]:
             self.messages.append("no target was ever here in training: it is in a hole or on a high obstacle")
-        height = self._ground_height(place) + self.controller.policy.task.target_height_m
-        self.goal = Target((*place.tolist(), height), self.time_s + duration_s)
+        self.aim = self._point(*place.tolist())
+        self.goal = Target(self.aim, self.time_s + duration_s)
         self._judged = False
+
+    def go(self, duration_s: float = DURATION_S) -> None:
+        """Send the robot to the target that is drawn; see `send`."""
+        self.send(*self.aim[:2], duration_s)
 
     def drive(self, forward: float, left: float, heading_rad: float | None = None) -> None:
         """Walk as a stick says; in its middle the robot stops, unless it is on the way to a target.
@@ -158,7 +180,16 @@ class Playground:
             self.goal = Joystick(forward, left, heading_rad)
 
     def push(self, speed: float) -> None:
-        """Change the base's velocity at once in a random horizontal direction [m/s]."""
+        """Change the base's velocity at once in a random horizontal direction.
+
+        Args:
+            speed: 0 to `FASTEST_PUSH` [m/s].
+
+        Raises:
+            ArriveError: it is not.
+        """
+        if not 0.0 <= speed <= FASTEST_PUSH:
+            raise ArriveError(f"a push is 0 to {FASTEST_PUSH:g} m/s, not {speed}")
         angle = self._rng.uniform(-math.pi, math.pi)
         self.robot.push((speed * math.cos(angle), speed * math.sin(angle)))
         self.messages.append(f"pushed by {speed:.1f} m/s")
@@ -166,20 +197,25 @@ class Playground:
     def reset(self) -> None:
         """Put the robot back to the start, without a goal."""
         self.messages.append("put back to the start")
+        self.driver.restart()
         self._start()
 
     def hit(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
-        """(3,) where a ray meets the terrain in the world, or None [m]."""
+        """(3,) where a ray meets the terrain in the world [m], or None where it does not or is none."""
+        length = float(np.linalg.norm(direction))
+        if not (np.isfinite(origin).all() and math.isfinite(length) and length > 1e-9):
+            return None
         groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
         groups[TERRAIN_GROUP] = 1
-        model, data = self.robot.model, self.robot.data
+        model, data, direction = self.robot.model, self.robot.data, direction / length
         distance = mujoco.mj_ray(model, data, origin, direction, groups, 1, -1, None)
         return origin + distance * direction if distance >= 0.0 else None
 
+    def _robot(self, skill: Skill, ground: Ground) -> SimulatedRobot:
+        return SimulatedRobot(skill.config, continued(ground.build(self._seed)), visuals=True)
+
     def _start(self) -> None:
-        """From here on the controller knows of nothing that was before."""
-        self.robot.reset()
-        self.controller.reset()
+        """The robot stands at its start and knows of nothing that was before."""
         self.goal: Goal = STOP
         self.command = JointCommand(np.array(self.robot.robot.default_joint_pos), "stop", "")
         self._judged = True
@@ -188,23 +224,22 @@ class Playground:
         """Say once whether the robot was at its target when the time was over."""
         if self._judged or self.target is None or self.time_s < self.target.arrive_at_s - 1e-6:
             return
-        arrived = self.distance < self.controller.policy.task.arrival_radius_m
+        arrived = self.distance < self.skill.policy.task.arrival_radius_m
         self.messages.append(f"{'arrived' if arrived else 'not there in time'}: {self.distance:.2f} m from the target")
         self._judged = True
 
-    def _look_after(self) -> None:
-        """Put a robot back that cannot go on."""
-        if self.robot.fell:
-            cause = "fell into a hole"
-        elif self.robot.crashed:
-            cause = "fell over: its base touched something"
-        elif self.robot.left_ground:
-            cause = "walked off the edge of the ground"
-        else:
-            return
-        self.falls += 1
-        self.messages.append(f"{cause}; put back to the start")
-        self._start()
+    def _point(self, x: float, y: float) -> tuple[float, float, float]:
+        """A target over a place on the ground, at the height of training [m]."""
+        ground = float(self.robot.tile.heights[*cell_index(np.array([x, y]))])
+        return x, y, ground + self.skill.policy.task.target_height_m
 
-    def _ground_height(self, place: np.ndarray) -> float:
-        return float(self.robot.tile.heights[*cell_index(place)])
+
+def first_aim(tile: Tile, ground: Ground) -> tuple[float, float]:
+    """The evaluation's target, or the nearest one to it straight ahead that is valid and beyond the terrain [m]."""
+    x, y = EVALUATION_TARGET
+    if ground.layout == "evaluation":
+        return x, y
+    places = np.arange(1.0, RASTER_HALF - MARGIN, 0.1)
+    cells = cell_index(places), cell_index(np.full(len(places), y))
+    fit = places[tile.target_valid[cells] & tile.crossing[cells]]
+    return (float(fit[np.abs(fit - x).argmin()]), y) if len(fit) else (x, y)

@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 import viser
 
+from arrive.play.colours import PALETTE, hexadecimal, joint_kinds, leg_names, palette
 from arrive.play.history import WINDOW_S, History
 
-BLUE, ORANGE, GREEN, RED = "#2f6fb0", "#e07a1f", "#3a8f4d", "#b03a48"
-DRIVES = {"HAA": BLUE, "HFE": ORANGE, "KFE": GREEN}
-"""Colour of a joint's torque by the end of its name; others are red."""
 LIFT = 0.7
 """Height of a foot's line while it touches, in rows."""
 HEIGHT = 170
@@ -17,17 +15,20 @@ HEIGHT = 170
 
 
 class Plots:
-    """Three charts with the same time axis."""
+    """Three charts with the same time axis; lines are coloured by what the robot calls its joints and feet."""
 
     def __init__(self, gui: viser.GuiApi, joint_names: tuple[str, ...], foot_names: tuple[str, ...]):
         """Add empty charts to the page."""
         self._joints, self._feet = len(joint_names), len(foot_names)
-        way = [("speed [m/s]", BLUE), ("distance to the target [m]", ORANGE)]
+        colours = [hexadecimal(colour) for colour in PALETTE]
+        way = [("speed [m/s]", colours[0]), ("distance to the target [m]", colours[1])]
         self._way = _chart(gui, "Speed and distance", way, _at_least(0.0, 1.5))
-        joints = [(name, DRIVES.get(name[-3:], RED)) for name in joint_names]
+        kinds = joint_kinds(joint_names, foot_names)
+        of_kind = dict(zip(dict.fromkeys(kinds), map(hexadecimal, palette(len(kinds))), strict=False))
+        joints = [(name, of_kind[kind]) for name, kind in zip(joint_names, kinds, strict=True)]
         self._torque = _chart(gui, "Torques [N m]", joints, _at_least(-40.0, 40.0), legend=False)
-        gui.add_markdown("blue HAA, orange HFE, green KFE")
-        feet = list(zip((name.removesuffix("_FOOT") for name in foot_names), (BLUE, ORANGE, GREEN, RED), strict=True))
+        self._key = gui.add_html(_key(of_kind))
+        feet = list(zip(leg_names(foot_names), map(hexadecimal, palette(self._feet)), strict=True))
         self._contact = _chart(gui, "Feet on the ground", feet, {"range": (-0.2, float(self._feet))})
 
     def update(self, history: History, now_s: float) -> None:
@@ -37,6 +38,17 @@ class Plots:
         self._way.data = (time_s, history.speed, history.distance)
         self._torque.data = (time_s, *history.torque.T.reshape(self._joints, -1))
         self._contact.data = (time_s, *(rows + LIFT * history.contact.T.reshape(self._feet, -1)))
+
+    def remove(self) -> None:
+        """Take the charts off the page."""
+        for part in (self._way, self._torque, self._key, self._contact):
+            part.remove()
+
+
+def _key(colours: dict[str, str]) -> str:
+    """Names in their colours."""
+    words = (f'<span style="color:{colour};font-weight:600">{name}</span>' for name, colour in colours.items())
+    return f'<div style="font-size:0.8em;padding:0 0.8em">{" ".join(words)}</div>'
 
 
 def _at_least(low: float, high: float) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The robot, its ground and its target, drawn in the browser by viser."""
+"""The robot, its ground, its target and the sky, drawn in the browser by viser."""
 
 from collections import defaultdict
 
@@ -6,58 +6,67 @@ import mujoco
 import numpy as np
 import viser
 
-from arrive.play.playground import TERRAIN_GROUP
+from arrive.play.colours import PALETTE, Rgb, palette
+from arrive.play.playground import TERRAIN_GROUP, Playground
 from arrive.play.shapes import Triangles, cylinder, geom_triangles, joined
-from arrive.robots.anymal_c_visuals import VISUAL_GROUP
+from arrive.play.surfaces import ground_surface, robot_surface
+from arrive.play.trail import Trail
 from arrive.simulation import SimulatedRobot
-from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_centers
 
 WORLD = "/world"
 """Everything hangs on this frame; moving it against the robot lets the camera follow."""
+VISUAL_GROUP, COLLISION_GROUP = 2, 3
+"""Groups of a robot's geoms (`arrive.robots.robot`): those that are looked at, and those that touch the ground."""
 PARKED_BELOW = -50.0
 """Terrain geoms lower than this are unused ones [m]."""
-LINE_SPACING = 1.0
-"""Distance between the lines on the ground [m]."""
-LINE_LIFT = 0.006
-"""Lines lie this much above the ground, so that they do not flicker [m]."""
-LINE_COLOUR = (96, 96, 92)
-ACTIVE, IDLE = (224, 122, 31), (150, 150, 150)
+ACTIVE, IDLE = PALETTE[1], (235, 235, 235)
 """Colour of the target while the robot is sent there, and while it is not."""
-CAMERA = (-2.7, -2.7, 1.9)
-"""Where a new browser looks from, towards the robot's start [m]."""
+CAMERA, LOOK_AT = (-3.3, -2.1, 1.9), (0.9, 0.0, 0.35)
+"""Where a new browser looks from and to: along the way, from behind the robot's start [m]."""
+FIELD_OF_VIEW_RAD = 0.85
+HORIZON: Rgb = (214, 226, 238)
+ZENITH: Rgb = (96, 150, 206)
+FOG_M = (14.0, 70.0)
+"""Where the ground begins to fade into the horizon, and where it is gone [m]."""
+SUN = (-3.0, 4.0, 7.0)
+"""The sun's direction [m from the origin]."""
+FADED = np.array([190.0, 190.0, 188.0])
+"""Colour of the oldest piece of the feet's trail."""
+LIFT_SHARE = 0.08
+"""Share of the way that the camera makes in a picture towards the robot's height."""
+Meshes = dict[tuple[float, ...], Triangles]
 
 
 class Scene:
     """What the canvas shows; names of bodies are those of the compiled model."""
 
-    def __init__(self, server: viser.ViserServer, robot: SimulatedRobot, arrival_radius: float, target_height: float):
-        """Send everything that keeps its shape: the robot's links and the target.
-
-        Args:
-            arrival_radius: of the ring around the target [m].
-            target_height: of the target above the ground [m].
-        """
+    def __init__(self, server: viser.ViserServer, playground: Playground):
+        """Send sky, light, robot, ground and target."""
         self._server = server
         server.scene.set_up_direction("+z")
-        server.initial_camera.position = CAMERA
-        server.initial_camera.look_at = (0.5, 0.0, 0.3)
+        server.initial_camera.position, server.initial_camera.look_at = CAMERA, LOOK_AT
+        server.initial_camera.fov = FIELD_OF_VIEW_RAD
+        self._add_sky()
         self._world = server.scene.add_frame(WORLD, show_axes=False)
-        self._links = self._add_robot(robot)
-        self._target_height = target_height
-        self.gizmo = self._add_target(arrival_radius)
-        self._ground = server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
-        self.show_ground(robot)
+        self._lift = 0.0
+        self._robot = self._ground = None
+        self.show(playground)
+        self.gizmo = self._add_target(playground)
+        self._trail = server.scene.add_line_segments(
+            f"{WORLD}/trail", np.zeros((0, 2, 3)), np.zeros((0, 2, 3), dtype=np.uint8), thickness=0.012
+        )
 
-    def show_ground(self, robot: SimulatedRobot) -> None:
-        """Replace the ground by the tile that the robot stands on."""
+    def show(self, playground: Playground) -> None:
+        """Replace the robot and its ground by the playground's."""
+        robot = playground.robot
         with self._server.atomic():
-            self._ground.remove()
+            for part in filter(None, (self._robot, self._ground)):
+                part.remove()
+            self._robot = self._server.scene.add_frame(f"{WORLD}/robot", show_axes=False)
+            self._links = self._add_robot(robot)
             self._ground = self._server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
-            self._add_body(self._ground.name, robot.model, 0, TERRAIN_GROUP)
-            lines = f"{self._ground.name}/lines"
-            self._server.scene.add_line_segments(
-                lines, draped_lines(robot.tile), LINE_COLOUR, thickness=1.0, thickness_units="screen"
-            )
+            self._add_ground(robot.model)
+        self._lift = 0.0
 
     def update(self, robot: SimulatedRobot, follow: bool) -> None:
         """Move the links to where the robot is; `follow` keeps the robot in the middle of the picture."""
@@ -65,59 +74,87 @@ class Scene:
             for body, frame in self._links.items():
                 frame.position = robot.data.xpos[body]
                 frame.wxyz = robot.data.xquat[body]
-            x, y = robot.base_pos_w[:2] if follow else (0.0, 0.0)
-            self._world.position = (-x, -y, 0.0)
+            x, y, z = robot.base_pos_w if follow else (0.0, 0.0, robot.robot.standing_height)
+            # Slowly, or the ground would shake with every step of the robot.
+            self._lift += LIFT_SHARE * (z - robot.robot.standing_height - self._lift)
+            self._world.position = (-x, -y, -self._lift)
 
-    def show_target(self, position: tuple[float, float, float] | None) -> None:
-        """Move the target there [m]; None says that the robot is not sent to any."""
+    def show_target(self, position: tuple[float, float, float], sent: bool) -> None:
+        """Move the target there [m]; `sent` says whether the robot is on its way to it."""
         with self._server.atomic():
-            if position is not None:
-                self.gizmo.position = position
+            self.gizmo.position = position
             for part in self._marks:
-                part.color = IDLE if position is None else ACTIVE
+                part.color = ACTIVE if sent else IDLE
+
+    def show_trail(self, trail: Trail, feet: int, visible: bool) -> None:
+        """Draw where the feet were."""
+        points, colours = trail.segments(np.array(palette(feet)), FADED)
+        with self._server.atomic():
+            self._trail.points, self._trail.colors = points.astype(np.float32), colours
+            self._trail.visible = visible
 
     def in_world(self, point: tuple[float, float, float]) -> np.ndarray:
         """(3,) position in the simulation of a point in viser's own frame [m]."""
         return np.array(point) - self._world.position
 
+    def _add_sky(self) -> None:
+        """A sky that fades into the horizon, a sun that casts shadows, and light from the sky."""
+        scene = self._server.scene
+        scene.set_background_image(sky(), format="png")
+        scene.configure_fog(*FOG_M, color=HORIZON)
+        scene.configure_default_lights(enabled=False)
+        scene.configure_environment_map("park", environment_intensity=0.25)
+        scene.add_light_hemisphere("/light/sky", sky_color=ZENITH, ground_color=(150, 140, 128), intensity=1.1)
+        scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.6, cast_shadow=True, position=SUN)
+
     def _add_robot(self, robot: SimulatedRobot) -> dict[int, viser.FrameHandle]:
         """One frame per moving link; bodies that are welded together share one."""
         model = robot.model
+        group = VISUAL_GROUP if (model.geom_group == VISUAL_GROUP).any() else COLLISION_GROUP
         frames = {}
         for body in np.unique(model.body_weldid[1:]):
             name = f"{WORLD}/robot/{model.body(body).name}"
             frames[int(body)] = self._server.scene.add_frame(name, show_axes=False)
-            self._add_body(name, model, int(body), VISUAL_GROUP)
+            for number, (rgba, mesh) in enumerate(link_meshes(model, int(body), group).items()):
+                self._server.scene.add_glb(f"{name}/{number}", robot_surface(mesh, _rgb(rgba)))
         return frames
 
-    def _add_body(self, parent: str, model: mujoco.MjModel, body: int, group: int) -> None:
-        """Add the geoms of a link, one mesh per colour."""
-        for number, (rgba, mesh) in enumerate(link_meshes(model, body, group).items()):
-            colour = tuple(round(255 * channel) for channel in rgba[:3])
-            self._server.scene.add_mesh_simple(f"{parent}/{number}", mesh.vertices, mesh.faces, color=colour)
+    def _add_ground(self, model: mujoco.MjModel) -> None:
+        """The terrain, one surface per colour."""
+        for number, (rgba, mesh) in enumerate(link_meshes(model, 0, TERRAIN_GROUP).items()):
+            self._server.scene.add_glb(f"{self._ground.name}/{number}", ground_surface(mesh, _rgb(rgba)))
 
-    def _add_target(self, arrival_radius: float) -> viser.TransformControlsHandle:
+    def _add_target(self, playground: Playground) -> viser.TransformControlsHandle:
         """A gizmo to be dragged, with a pole that stands in a disc as large as the place to be reached."""
-        scene, name = self._server.scene, f"{WORLD}/target"
+        scene, name, task = self._server.scene, f"{WORLD}/target", playground.skill.policy.task
         gizmo = scene.add_transform_controls(
-            name,
-            scale=0.7,
-            active_axes=(True, True, False),
-            disable_rotations=True,
-            position=(2.0, 0.0, self._target_height),
+            name, scale=0.6, active_axes=(True, True, False), disable_rotations=True, position=playground.aim
         )
-        height = self._target_height
-        disc, pole = cylinder(arrival_radius, 0.004), cylinder(0.012, height / 2)
-        for part, mesh, z, opacity in (("disc", disc, -height + 0.008, 0.5), ("pole", pole, -height / 2, None)):
+        height = task.target_height_m
+        disc, pole = cylinder(task.arrival_radius_m, 0.004), cylinder(0.012, height / 2)
+        for part, mesh, z, opacity in (("disc", disc, 0.012 - height, 0.45), ("pole", pole, -height / 2, None)):
             scene.add_mesh_simple(
-                f"{name}/{part}", mesh.vertices, mesh.faces, color=IDLE, opacity=opacity, position=(0.0, 0.0, z)
+                f"{name}/{part}",
+                mesh.vertices,
+                mesh.faces,
+                color=IDLE,
+                opacity=opacity,
+                position=(0.0, 0.0, z),
+                cast_shadow=False,
             )
-        scene.add_icosphere(f"{name}/ball", radius=0.06, color=IDLE)
+        scene.add_icosphere(f"{name}/ball", radius=0.06, color=IDLE, cast_shadow=False)
         self._marks = [scene.get_handle_by_name(f"{name}/{part}") for part in ("disc", "pole", "ball")]
         return gizmo
 
 
-def link_meshes(model: mujoco.MjModel, body: int, group: int) -> dict[tuple[float, ...], Triangles]:
+def sky(rows: int = 256) -> np.ndarray:
+    """(rows, 8, 3) picture of the sky: the horizon's colour up to the middle, and the zenith's at the top."""
+    height = np.clip(np.linspace(1.0, -1.0, rows), 0.0, 1.0)[:, None]
+    column = np.array(HORIZON) + height**0.8 * (np.array(ZENITH) - np.array(HORIZON))
+    return np.repeat(column[:, None], 8, axis=1).round().astype(np.uint8)
+
+
+def link_meshes(model: mujoco.MjModel, body: int, group: int) -> Meshes:
     """Surfaces by colour of all geoms of a group that are fixed to a body, in its frame [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -132,21 +169,5 @@ def link_meshes(model: mujoco.MjModel, body: int, group: int) -> dict[tuple[floa
     return {rgba: joined(meshes) for rgba, meshes in parts.items()}
 
 
-def draped_lines(tile: Tile) -> np.ndarray:
-    """(n, 2, 3) ends of line segments that lie on the ground, parallel to x and y, `LINE_SPACING` apart [m]."""
-    centers = cell_centers()
-    places = np.arange(-RASTER_HALF + LINE_SPACING, RASTER_HALF, LINE_SPACING)
-    segments = []
-    for place in places:
-        row = min(int(np.searchsorted(centers, place)), RASTER_SIZE - 1)
-        fixed = np.full(RASTER_SIZE, place)
-        segments.append(_polyline(np.stack([fixed, centers, tile.heights[row]], axis=1)))
-        segments.append(_polyline(np.stack([centers, fixed, tile.heights[:, row]], axis=1)))
-    return np.concatenate(segments) + np.array([0.0, 0.0, LINE_LIFT])
-
-
-def _polyline(points: np.ndarray) -> np.ndarray:
-    """(m, 2, 3) segments through points (n, 3), without those on a straight line between their neighbours."""
-    bends = np.abs(np.diff(points[:, 2], n=2)) > 1e-5
-    kept = points[np.concatenate([[True], bends, [True]])]
-    return np.stack([kept[:-1], kept[1:]], axis=1)
+def _rgb(rgba: tuple[float, ...]) -> Rgb:
+    return tuple(round(255 * channel) for channel in rgba[:3])

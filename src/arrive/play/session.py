@@ -1,10 +1,7 @@
 """One simulation for all browsers: the thread that steps it, draws it and carries out what people ask for."""
 
-import contextlib
-import io
 import math
 import queue
-import socket
 import threading
 import time
 from collections.abc import Callable, Hashable
@@ -12,38 +9,24 @@ from collections.abc import Callable, Hashable
 import numpy as np
 import viser
 
+from arrive.drive.pace import Pace
 from arrive.errors import ArriveError
 from arrive.play.history import History
-from arrive.play.pace import Pace
 from arrive.play.panel import Panel, Request
 from arrive.play.playground import Playground
 from arrive.play.scene import Scene
+from arrive.play.trail import Trail
 
 DRAW_PERIOD_S = 1 / 30
 """Between pictures [s]."""
 PANEL_PERIOD_S = 0.2
 """Between updates of status and plots [s]."""
+TRAIL_PERIOD_S = 0.1
+"""Between updates of the feet's trail [s]."""
 READING_STEPS = 2
-"""Control steps between readings in the plots."""
+"""Control steps between readings in the plots, and between samples of the trail."""
 NAP_S = 0.002
 """The thread looks for work this often [s]."""
-
-
-def open_server(host: str, port: int) -> viser.ViserServer:
-    """Serve the page.
-
-    Raises:
-        ArriveError: the port is in use, or the host is not this machine's.
-    """
-    # viser would silently take another port, and look for one for ever where the host is wrong.
-    try:
-        with socket.create_server((host, port)):
-            pass
-    except (OSError, OverflowError) as error:
-        raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
-    # Whatever it is told, viser prints a box with its own addresses.
-    with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
 
 
 class Ticker:
@@ -73,15 +56,17 @@ class Session:
         """Put everything on the page; nothing moves until `run`."""
         self.playground = playground
         self._server = server
-        task = playground.controller.policy.task
         self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self._drawn_robot, self._drawn_target = playground.robot, playground.target
-        self._scene = Scene(server, playground.robot, task.arrival_radius_m, task.target_height_m)
+        self._scene = Scene(server, playground)
         self._panel = Panel(server, playground, self.post)
-        self._history = History(READING_STEPS * playground.control_dt)
+        self._start_over()
+        self._drawn_target: Hashable = None
         self._steps = self._answered = 0
-        self._picture = Ticker(DRAW_PERIOD_S, self._draw)
-        self._display = Ticker(PANEL_PERIOD_S, lambda: self._panel.update(self.playground, self.pace, self._history))
+        self._tickers = (
+            Ticker(DRAW_PERIOD_S, self._draw),
+            Ticker(TRAIL_PERIOD_S, self._draw_trail),
+            Ticker(PANEL_PERIOD_S, lambda: self._panel.update(self.playground, self.pace, self._history)),
+        )
         self.pace = Pace(playground.control_dt)
         """The simulation's clock, which also says how much time was lost."""
         self._listen()
@@ -97,9 +82,10 @@ class Session:
             self.pace.factor = self._panel.factor
             for _ in range(self.pace.steps_due(time.monotonic())):
                 self._step()
-            state = (self._steps, self._answered, self.pace.factor, self._panel.follow)
-            self._picture.tick(time.monotonic(), state)
-            self._display.tick(time.monotonic(), state)
+            panel = self._panel
+            state = (self._steps, self._answered, self.pace.factor, panel.follow, panel.trail)
+            for ticker in self._tickers:
+                ticker.tick(time.monotonic(), state)
             stop.wait(NAP_S)
 
     def _carry_out(self) -> None:
@@ -108,24 +94,36 @@ class Session:
                 self._requests.get()(self.playground)
             except ArriveError as error:
                 self.playground.messages.append(str(error))
+                self._panel.show(self.playground)
             self._answered += 1
+        if self._drawn_robot is not self.playground.robot:
+            self._scene.show(self.playground)
+            self._panel.show(self.playground)
+            self._start_over()
+
+    def _start_over(self) -> None:
+        """Another robot or ground has neither past nor trail."""
+        self._drawn_robot = self.playground.robot
+        self._trail = Trail(READING_STEPS * self.playground.control_dt)
+        self._history = History(READING_STEPS * self.playground.control_dt)
 
     def _step(self) -> None:
         self.playground.step()
         self._steps += 1
         if self._steps % READING_STEPS == 0:
             self._history.append(self.playground.read())
+            self._trail.append(self.playground.feet())
 
     def _draw(self) -> None:
-        """Links always; ground and target only when they are others, for a person may be dragging the target."""
-        robot, target = self.playground.robot, self.playground.target
-        if robot is not self._drawn_robot:
-            self._scene.show_ground(robot)
-            self._drawn_robot = robot
-        if target is not self._drawn_target:
-            self._scene.show_target(target.position_w if target else None)
+        """Links always; the target only when it is another, for a person may be dragging it."""
+        target = (self.playground.aim, self.playground.target)
+        if target != self._drawn_target:
+            self._scene.show_target(self.playground.aim, self.playground.target is not None)
             self._drawn_target = target
-        self._scene.update(robot, self._panel.follow)
+        self._scene.update(self.playground.robot, self._panel.follow)
+
+    def _draw_trail(self) -> None:
+        self._scene.show_trail(self._trail, len(self.playground.robot.robot.foot_sites), self._panel.trail)
 
     def _listen(self) -> None:
         """To the two ways of setting a target."""

@@ -53,6 +53,8 @@ def geom_triangles(model: mujoco.MjModel, geom: int) -> Triangles:
         unit = capsule(1.0, 0.0)
         half = size if kind == Geom.mjGEOM_ELLIPSOID else np.full(3, size[0])
         return Triangles(unit.vertices * half, unit.faces)
+    if kind == Geom.mjGEOM_MESH:
+        return mesh_of(model, int(model.geom_dataid[geom]))
     if kind == Geom.mjGEOM_HFIELD:
         return height_field(model, int(model.geom_dataid[geom]))
     raise ValueError(f"cannot draw a geom of type {kind.name}")
@@ -93,6 +95,13 @@ def revolved(profile: Sequence[Ring]) -> Triangles:
         a, b, c, d = (k * SEGMENTS + here, k * SEGMENTS + after, (k + 1) * SEGMENTS + after, (k + 1) * SEGMENTS + here)
         faces += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
     return Triangles(np.concatenate(rings), np.concatenate(faces))
+
+
+def mesh_of(model: mujoco.MjModel, mesh: int) -> Triangles:
+    """A mesh of a robot's description, in its geom's frame [m]."""
+    vertices = slice(int(model.mesh_vertadr[mesh]), int(model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh]))
+    faces = slice(int(model.mesh_faceadr[mesh]), int(model.mesh_faceadr[mesh] + model.mesh_facenum[mesh]))
+    return Triangles(np.array(model.mesh_vert[vertices], dtype=float), np.array(model.mesh_face[faces]))
 
 
 def height_field(model: mujoco.MjModel, field: int) -> Triangles:

@@ -4,6 +4,7 @@ import html
 from pathlib import Path
 
 SCRIPT = Path(__file__).with_name("stick.js")
+STYLE = Path(__file__).with_name("page.css")
 CENTRE = "0.00 0.00"
 """The text of a stick in its middle."""
 PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="
@@ -31,3 +32,8 @@ def parse_stick(text: str) -> tuple[float, float] | None:
     except ValueError:
         return None
     return (forward, left) if abs(forward) <= 1.0 and abs(left) <= 1.0 else None
+
+
+def page_html() -> str:
+    """Style that viser has no setting for."""
+    return f"<style>{STYLE.read_text()}</style>"

@@ -1,5 +1,7 @@
 """How fast simulated time runs beside the clock on the wall."""
 
+import math
+
 LARGEST_DELAY_S = 0.2
 """Simulated time that is caught up with at once; what is later than that is dropped, and the robot lags [s]."""
 
@@ -21,6 +23,13 @@ class Pace:
         """Simulated time that was asked for so far [s]."""
         self.dropped_s = 0.0
         """How much of it could not be kept up with [s]."""
+
+    @property
+    def next_s(self) -> float:
+        """When the next step is due on the clock on the wall, if time runs on as it does [s]."""
+        if self._last_s is None or self.factor == 0.0:
+            return math.inf
+        return self._last_s + (self._period_s - self._due_s) / self.factor
 
     def steps_due(self, now_s: float) -> int:
         """Control steps to simulate now, given the clock on the wall [s]."""

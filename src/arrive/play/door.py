@@ -1,0 +1,140 @@
+"""Who may open the page: requests are checked against the address that it is served on.
+
+Any page in a browser can ask the browser to talk to 127.0.0.1. So `Host` must be a name of this machine, `Origin` that
+of the page itself, and beyond this machine a token is asked for, in the address first and in a cookie from then on.
+"""
+
+import hmac
+import ipaddress
+import secrets
+import socket
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.datastructures import Headers
+
+from arrive.errors import ArriveError
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+PARAMETER = "token"
+TOKEN_BYTES = 16
+SAFE_HEADERS = {"X-Frame-Options": "SAMEORIGIN", "Referrer-Policy": "no-referrer"}
+"""No other page may show this one in a frame, nor be told its address."""
+
+
+@dataclass(frozen=True)
+class Door:
+    """The rules for one address."""
+
+    host: str
+    """Address that the page is served on."""
+    port: int
+    names: frozenset[str]
+    """Host names that a request may ask for; empty where every literal address of this machine may do."""
+    token: str
+    """What a request must bring, empty on this machine alone."""
+
+    @property
+    def address(self) -> str:
+        """What a person opens."""
+        shown = socket.gethostname() if _is_wildcard(self.host) else self.host
+        shown = f"[{shown}]" if ":" in shown else shown
+        return f"http://{shown}:{self.port}" + (f"/?{PARAMETER}={self.token}" if self.token else "")
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie with the token; ports share cookies, so each has its own."""
+        return f"arrive_{self.port}"
+
+    def refusal(self, headers: Headers, path: str) -> str:
+        """Why a request is turned away, empty where it is let in."""
+        host = _single(headers, "Host")
+        if not self._is_named(_host_name(host)):
+            return f"this page is not served as {host!r}"
+        upgrade = any("websocket" in value.lower() for value in headers.get_all("Upgrade"))
+        origin = _single(headers, "Origin")
+        if (upgrade or headers.get_all("Origin")) and urlsplit(origin).netloc.lower() != host.lower():
+            return f"requests from {origin!r} are refused"
+        if self.token and not self._has_token(headers, path):
+            return "open the address that `arrive play` printed, with its token"
+        return ""
+
+    def welcome(self, path: str) -> dict[str, str]:
+        """Headers of the answer to a request that is let in."""
+        if self.token and self._matches(_parameter(path)):
+            return SAFE_HEADERS | {"Set-Cookie": f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"}
+        return SAFE_HEADERS
+
+    def _is_named(self, name: str) -> bool:
+        return name in self.names or (_is_wildcard(self.host) and _is_literal(name))
+
+    def _has_token(self, headers: Headers, path: str) -> bool:
+        jar = SimpleCookie()
+        try:
+            jar.load("; ".join(headers.get_all("Cookie")))
+        except CookieError:
+            jar.clear()
+        known = jar[self.cookie].value if self.cookie in jar else ""
+        return self._matches(known) or self._matches(_parameter(path))
+
+    def _matches(self, token: str) -> bool:
+        return hmac.compare_digest(token.encode(), self.token.encode())
+
+
+def door_of(host: str, port: int) -> Door:
+    """The rules for an address that the page is to be served on.
+
+    Raises:
+        ArriveError: an empty host, which would mean all addresses, or one that is no name at all.
+    """
+    if not host.strip():
+        raise ArriveError("--host is empty: write 127.0.0.1 for this machine alone, 0.0.0.0 for all its addresses")
+    if _is_local(host):
+        return Door(host, port, frozenset({*LOOPBACK, host.lower()}), "")
+    own = socket.gethostname().lower()
+    names = {host.lower(), *LOOPBACK, own, f"{own}.local", socket.getfqdn().lower()}
+    return Door(host, port, frozenset(names), secrets.token_urlsafe(TOKEN_BYTES))
+
+
+def _is_local(host: str) -> bool:
+    """Whether an address can only be reached from this machine."""
+    try:
+        places = {place[4][0] for place in socket.getaddrinfo(host, None)}
+    except (OSError, UnicodeError):
+        return False
+    return bool(places) and all(ipaddress.ip_address(str(place).partition("%")[0]).is_loopback for place in places)
+
+
+def _is_wildcard(host: str) -> bool:
+    return _is_literal(host) and ipaddress.ip_address(host).is_unspecified
+
+
+def _is_literal(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _single(headers: Headers, name: str) -> str:
+    """The one value of a header, empty where there is none or several."""
+    values = headers.get_all(name)
+    return values[0].strip() if len(values) == 1 else ""
+
+
+def _host_name(host: str) -> str:
+    """The name in a Host header, without its port and brackets."""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+def _parameter(path: str) -> str:
+    """The token in an address, empty where there is none."""
+    try:
+        return parse_qs(urlsplit(path).query).get(PARAMETER, [""])[0]
+    except ValueError:
+        return ""

@@ -1,0 +1,87 @@
+"""The web server: viser's, behind a door and a guard of our own."""
+
+import contextlib
+import io
+import logging
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import viser
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
+
+from arrive.errors import ArriveError
+from arrive.play.door import Door, door_of
+from arrive.play.guard import LARGEST_MESSAGE, Guard, guarded
+
+FORBIDDEN = 403
+Process = Callable[[ServerConnection, Request], Response | None]
+
+
+def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
+    """Serve the page.
+
+    Raises:
+        ArriveError: the port is in use, the host is empty or not this machine's, or this version of viser does not
+            take the door and the guard.
+    """
+    door = door_of(host, port)
+    # viser would silently take another port, and look for one for ever where the host is wrong.
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.create_server((host, port), family=family):
+            pass
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
+    guard = Guard()
+    # Whatever it is told, viser prints a box with its own addresses.
+    with _through(door, guard) as taken, contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
+    if not taken or server.get_port() != port:
+        server.stop()
+        raise ArriveError(f"cannot serve the page safely on port {port} with viser {viser.__version__}")
+    guard.server = server
+    return server, door
+
+
+@contextlib.contextmanager
+def _through(door: Door, guard: Guard) -> Iterator[list[bool]]:
+    """Let servers that begin to listen meanwhile use websockets' own hooks, which viser has no way to reach.
+
+    Yields:
+        A list that holds something once a server has taken them.
+    """
+    serve, taken = websockets.asyncio.server.serve, []
+    quiet = logging.getLogger("arrive.play.server")
+    # A request that is refused is no fault of this program, and no reason to print a traceback.
+    quiet.addHandler(logging.NullHandler())
+    quiet.propagate = False
+
+    def serve_guarded(*args: Any, process_request: Process, **options: Any) -> Any:
+        taken.append(True)
+        options |= {"max_size": LARGEST_MESSAGE, "create_connection": guarded(guard), "logger": quiet}
+        return serve(*args, process_request=_checked(door, process_request), **options)
+
+    websockets.asyncio.server.serve = serve_guarded
+    try:
+        yield taken
+    finally:
+        websockets.asyncio.server.serve = serve
+
+
+def _checked(door: Door, answer: Process) -> Process:
+    """An answer to requests that come through the door."""
+
+    def process(connection: ServerConnection, request: Request) -> Response | None:
+        refusal = door.refusal(request.headers, request.path)
+        if refusal:
+            return connection.respond(FORBIDDEN, f"{refusal}\n")
+        response = answer(connection, request)
+        if response is not None:
+            for name, value in door.welcome(request.path).items():
+                response.headers[name] = value
+        return response
+
+    return process

@@ -1,0 +1,75 @@
+"""How robot and ground look: colour, gloss, and on the ground a texture that shows motion."""
+
+from functools import lru_cache
+
+import numpy as np
+from PIL import Image
+
+from arrive.play.colours import Rgb
+from arrive.play.gltf import glb
+from arrive.play.shapes import Triangles
+
+TEXTURE_M = 2.0
+"""Edge of the piece of ground that the texture covers before it repeats [m]."""
+PLATES = 4
+"""Plates along that edge: half a metre each."""
+PIXELS = 512
+"""Along that edge."""
+JOINT_PX = 2
+"""Width of the joints between plates, on either side."""
+PLATE_SPREAD, GRAIN, JOINT = 0.06, 0.02, 0.72
+"""How much plates differ in brightness, how much every point does, and the brightness of joints; 1 is white."""
+GROUND_ROUGHNESS, ROBOT_ROUGHNESS = 0.95, 0.42
+
+
+def robot_surface(mesh: Triangles, colour: Rgb) -> bytes:
+    """A glTF file of a smooth, slightly shiny surface."""
+    return glb(mesh.vertices, mesh.faces, linear(colour), ROBOT_ROUGHNESS, normals=smooth_normals(mesh))
+
+
+def ground_surface(mesh: Triangles, colour: Rgb) -> bytes:
+    """A glTF file of flat faces that bear the texture of the ground in its real size."""
+    vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    texture = (ground_texture(), box_coordinates(vertices) / TEXTURE_M)
+    return glb(vertices, faces, linear(colour), GROUND_ROUGHNESS, texture=texture)
+
+
+def linear(colour: Rgb) -> tuple[float, float, float]:
+    """An sRGB colour, 0 to 255, in linear light, 0 to 1 (IEC 61966-2-1)."""
+    share = np.array(colour) / 255.0
+    return tuple(np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist())
+
+
+def smooth_normals(mesh: Triangles) -> np.ndarray:
+    """(n, 3) unit normals of vertices: the mean of those of their faces, by area."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.zeros_like(mesh.vertices, dtype=float)
+    for corner in mesh.faces.T:
+        np.add.at(normals, corner, np.cross(b - a, c - a))
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+def box_coordinates(vertices: np.ndarray) -> np.ndarray:
+    """(n, 2) places [m] of triangles' corners (n, 3), three by three, seen along the axis that they face most."""
+    corners = vertices.reshape(-1, 3, 3)
+    normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    # A slope counts as level ground up to 63 degrees.
+    normal[:, 2] *= 2.0
+    axes = np.array([[1, 2], [0, 2], [0, 1]])[normal.argmax(axis=1)]
+    return np.take_along_axis(corners, axes[:, None, :].repeat(3, axis=1), axis=2).reshape(-1, 2)
+
+
+@lru_cache(maxsize=1)
+def ground_texture() -> Image.Image:
+    """Square plates with joints, each a little lighter or darker than its neighbours, in grey around white."""
+    rng = np.random.default_rng(7)
+    size = PIXELS // PLATES
+    plates = 1.0 - PLATE_SPREAD + rng.uniform(-PLATE_SPREAD, PLATE_SPREAD, (PLATES, PLATES))
+    brightness = plates.repeat(size, axis=0).repeat(size, axis=1)
+    brightness += rng.normal(0.0, GRAIN, brightness.shape)
+    place = np.arange(PIXELS) % size
+    joint = (place < JOINT_PX) | (place >= size - JOINT_PX)
+    brightness[joint] *= JOINT
+    brightness[:, joint] *= JOINT
+    return Image.fromarray((255 * np.clip(brightness, 0.0, 1.0)).astype(np.uint8))
