@@ -14,9 +14,11 @@ import pytest
 from PIL import Image
 
 from arrive.play.playground import Playground
-from arrive.policies import open_policy
+from arrive.play.skills import open_skill
+from arrive.terrain.ground import ground_of
 
 session = pytest.importorskip("arrive.play.session", reason="viser is not installed")
+server = pytest.importorskip("arrive.play.server", reason="viser is not installed")
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
@@ -34,7 +36,6 @@ OPTIONS = [
     "--disable-component-update",
     "--disable-sync",
     "--enable-unsafe-swiftshader",
-    "--window-size=1150,640",
 ]
 PATIENCE_S = 90.0
 STICK_TRAVEL_PX = 46
@@ -48,21 +49,24 @@ class Stage:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self.folder = folder
-        self.playground = Playground(open_policy())
-        self.server = session.open_server("127.0.0.1", self.port)
+        self.playground = Playground(open_skill(None), ground_of("flat"))
+        self.server, _ = server.open_server("127.0.0.1", self.port)
         self.session = session.Session(self.server, self.playground)
-        self.server.scene.configure_default_lights(cast_shadow=False)
+        self.server.scene.get_handle_by_name("/light/sun").cast_shadow = False
         self.server.scene.configure_environment_map(None)
+        # Else every picture is another one.
+        self.session._panel._follow.value = False
         self.browsers = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.session.run, args=(self._stop,))
         self._thread.start()
 
-    def open_page(self):
+    def open_page(self, width: int = 1150, height: int = 640):
         """A new browser that has loaded the page."""
         options = webdriver.ChromeOptions()
         options.binary_location = CHROMIUM
-        for option in (*OPTIONS, f"--user-data-dir={self.folder / str(len(self.browsers))}"):
+        own = (f"--window-size={width},{height}", f"--user-data-dir={self.folder / str(len(self.browsers))}")
+        for option in (*OPTIONS, *own):
             options.add_argument(option)
         browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
         self.browsers.append(browser)
@@ -163,16 +167,36 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
 @pytest.fixture
 def browser(stage):
     """The first browser; the robot stands at the start on flat ground."""
-    stage.session.post(lambda playground: playground.change_terrain("flat", 0))
-    wait_until(lambda: stage.playground.terrain == "flat" and stage.playground.command.mode == "stop", "the start")
+    stage.session.post(lambda playground: playground.change(playground.skill, ground_of("flat")))
+    started = lambda: stage.playground.ground == ground_of("flat") and stage.playground.command.mode == "stop"  # noqa: E731
+    wait_until(started, "the start")
     return stage.browsers[0]
 
 
 def test_the_page_shows_the_robot_and_how_it_is(browser):
     shown = picture(browser)
     assert shown.reshape(-1, 3).std(axis=0).min() > 10.0, "the canvas is not uniform"
-    for word in ("stop", "flat ground", "Speed and distance", "Torques", "Feet on the ground", "Push (P)", "Reset (R)"):
+    for word in ("stop", "flat ground", "Plots", "Go (G)", "Slow motion (M)", "Reset (R)", "Policy", "Terrain"):
         assert word in text(browser)
+
+
+def press(browser, label: str) -> None:
+    """Press a button by what stands on it."""
+    browser.find_element("xpath", f"//button[.//*[text()='{label}']]").click()
+
+
+def test_go_sends_the_robot_to_what_is_drawn(stage, browser):
+    assert stage.playground.target is None
+    press(browser, "Go (G)")
+    wait_until(lambda: stage.playground.target, "the target")
+    assert stage.playground.target.position_w[:2] == (5.0, 0.0)
+
+
+def test_slow_motion_can_be_switched(stage, browser):
+    press(browser, "Slow motion (M)")
+    wait_until(lambda: stage.session.pace.factor == 0.2, "slow motion")
+    press(browser, "Slow motion (M)")
+    wait_until(lambda: stage.session.pace.factor == 1.0, "real time")
 
 
 def test_a_click_on_the_ground_sends_the_robot_there(stage, browser):
@@ -204,7 +228,7 @@ def test_the_target_can_be_dragged(stage, browser):
     assert (y, z) == pytest.approx((0.0, height), abs=1e-3)
 
 
-def test_terrain_and_level_change(stage, browser):
+def test_terrain_and_value_change(stage, browser):
     before = picture(browser)
     choice = next(
         element
@@ -214,18 +238,18 @@ def test_terrain_and_level_change(stage, browser):
     choice.click()
     wait_until(lambda: browser.find_elements("xpath", "//*[@role='option'][.='gap']"), "the list of terrains")
     browser.find_element("xpath", "//*[@role='option'][.='gap']").click()
-    wait_until(lambda: stage.playground.terrain == "gap", "the terrain")
-    level = browser.find_element("xpath", "//label[.='Level']/following::input[@type='text'][1]")
-    level.send_keys("\b3\n")
-    wait_until(lambda: stage.playground.level == 3, "the level")
-    wait_until(lambda: "a gap to leap over, width 0.53 m" in text(browser), "the ground in words")
+    wait_until(lambda: stage.playground.ground.family.name == "gap", "the terrain")
+    value = browser.find_element("xpath", "//label[.='Width [m]']/following::input[@type='text'][1]")
+    value.send_keys("\b\b\b\b0.5\n")
+    wait_until(lambda: stage.playground.ground.value == pytest.approx(0.5), "the value")
+    wait_until(lambda: "a gap to leap over, width 0.5 m" in text(browser), "the ground in words")
     wait_until(lambda: np.abs(picture(browser) - before).mean() > 5.0, "other ground in the picture")
 
 
 def test_the_stick_drives_until_it_is_let_go(stage, browser):
     hold(browser, 0.6, 0.0)
     wait_until(lambda: stage.playground.command.mode == "joystick", "the stick")
-    # The camera looks along (1, 1): away from the person.
+    # The camera looks along the way: away from the person.
     wait_until(lambda: stage.playground.robot.base_pos_w[:2].sum() > 0.7, "the robot on its way")
     actions(browser).release().perform()
     wait_until(lambda: stage.playground.command.mode == "stop", "the stick let go")
@@ -253,7 +277,7 @@ def test_a_gamepad_in_the_browser_drives(stage, browser):
 
 
 def test_two_browsers_share_the_robot_and_a_reload_keeps_it(stage, browser):
-    stage.session.post(lambda playground: playground.change_terrain("pit", 1))
+    stage.session.post(lambda playground: playground.change(playground.skill, ground_of("pit=0.1")))
     other = stage.open_page()
     hold(other, 0.0, 0.6)
     wait_until(lambda: stage.playground.command.mode == "joystick", "the stick of the second browser")
@@ -269,3 +293,22 @@ def test_two_browsers_share_the_robot_and_a_reload_keeps_it(stage, browser):
     wait_until(lambda: "a pit to climb out of" in text(browser), "the same ground")
     assert stage.playground.time_s > clock
     assert len(stage.server.get_clients()) == 1
+
+
+def test_a_phone_shows_the_robot_and_what_one_drives_with(stage, browser):
+    phone = stage.open_page(390, 844)
+    try:
+        bar = phone.find_element("css selector", "[data-arrive-bar]")
+        assert bar.is_displayed()
+        covered = phone.execute_script(
+            "return [...document.querySelectorAll('[style*=\"width: 20em\"]')]"
+            ".map((sheet) => sheet.getBoundingClientRect().height / innerHeight)"
+        )
+        assert max(covered) < 0.1, "the sheet is closed at first"
+        bar.find_element("xpath", ".//button[.='Go']").click()
+        wait_until(lambda: stage.playground.target, "the target")
+        hold(phone, 0.6, 0.0)
+        wait_until(lambda: stage.playground.command.mode == "joystick", "the stick")
+    finally:
+        phone.quit()
+        stage.browsers.remove(phone)

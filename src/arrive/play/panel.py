@@ -251,6 +251,7 @@ def _status(playground: Playground, pace: Pace) -> str:
     if target is not None:
         left = max(0.0, target.arrive_at_s - playground.time_s)
         lines.append(f"{playground.distance:.2f} m to the target, {left:.1f} s left")
-    lines.append(f"{playground.time_s:.1f} s at {pace.factor:g} x real time, falls: {playground.falls}")
+    speed = f"at {pace.factor:.1g} x real time" if pace.factor else "paused"
+    lines.append(f"{playground.time_s:.1f} s, {speed}, falls: {playground.falls}")
     said = list(playground.messages)[-2:]
     return "  \n".join(lines) + "\n\n" + "\n".join(f"- {message}" for message in said)

@@ -9,7 +9,7 @@ import viser
 from arrive.play.colours import PALETTE, Rgb, palette
 from arrive.play.playground import TERRAIN_GROUP, Playground
 from arrive.play.shapes import Triangles, cylinder, geom_triangles, joined
-from arrive.play.surfaces import ground_surface, robot_surface
+from arrive.play.surfaces import ground_surface, linear, robot_surface
 from arrive.play.trail import Trail
 from arrive.simulation import SimulatedRobot
 
@@ -21,16 +21,19 @@ PARKED_BELOW = -50.0
 """Terrain geoms lower than this are unused ones [m]."""
 ACTIVE, IDLE = PALETTE[1], (235, 235, 235)
 """Colour of the target while the robot is sent there, and while it is not."""
-CAMERA, LOOK_AT = (-3.3, -2.1, 1.9), (0.9, 0.0, 0.35)
-"""Where a new browser looks from and to: along the way, from behind the robot's start [m]."""
+CAMERA, LOOK_AT = (-2.5, -3.2, 2.3), (1.0, 0.0, 0.25)
+"""Where a new browser looks from and to: along the way, from behind the robot and beside it, so that what lies ahead is
+seen [m]."""
 FIELD_OF_VIEW_RAD = 0.85
 HORIZON: Rgb = (214, 226, 238)
 ZENITH: Rgb = (96, 150, 206)
+SKY_SHARE = 0.24
+"""Share of the picture's height, from its top, over which the sky fades into the horizon's colour."""
 FOG_M = (14.0, 70.0)
 """Where the ground begins to fade into the horizon, and where it is gone [m]."""
 SUN = (-3.0, 4.0, 7.0)
 """The sun's direction [m from the origin]."""
-FADED = np.array([190.0, 190.0, 188.0])
+FADED: Rgb = (200, 200, 196)
 """Colour of the oldest piece of the feet's trail."""
 LIFT_SHARE = 0.08
 """Share of the way that the camera makes in a picture towards the robot's height."""
@@ -88,7 +91,8 @@ class Scene:
 
     def show_trail(self, trail: Trail, feet: int, visible: bool) -> None:
         """Draw where the feet were."""
-        points, colours = trail.segments(np.array(palette(feet)), FADED)
+        newest = np.array([in_linear_light(colour) for colour in palette(feet)])
+        points, colours = trail.segments(newest, np.array(in_linear_light(FADED)))
         with self._server.atomic():
             self._trail.points, self._trail.colors = points.astype(np.float32), colours
             self._trail.visible = visible
@@ -101,7 +105,7 @@ class Scene:
         """A sky that fades into the horizon, a sun that casts shadows, and light from the sky."""
         scene = self._server.scene
         scene.set_background_image(sky(), format="png")
-        scene.configure_fog(*FOG_M, color=HORIZON)
+        scene.configure_fog(*FOG_M, color=in_linear_light(HORIZON))
         scene.configure_default_lights(enabled=False)
         scene.configure_environment_map("park", environment_intensity=0.25)
         scene.add_light_hemisphere("/light/sky", sky_color=ZENITH, ground_color=(150, 140, 128), intensity=1.1)
@@ -148,10 +152,15 @@ class Scene:
 
 
 def sky(rows: int = 256) -> np.ndarray:
-    """(rows, 8, 3) picture of the sky: the horizon's colour up to the middle, and the zenith's at the top."""
-    height = np.clip(np.linspace(1.0, -1.0, rows), 0.0, 1.0)[:, None]
-    column = np.array(HORIZON) + height**0.8 * (np.array(ZENITH) - np.array(HORIZON))
+    """(rows, 8, 3) picture of the sky; it does not turn with the camera, which mostly looks down a little."""
+    height = np.clip(np.linspace(1.0, 1.0 - 1.0 / SKY_SHARE, rows), 0.0, 1.0)[:, None]
+    column = np.array(HORIZON) + height * (np.array(ZENITH) - np.array(HORIZON))
     return np.repeat(column[:, None], 8, axis=1).round().astype(np.uint8)
+
+
+def in_linear_light(colour: Rgb) -> Rgb:
+    """An sRGB colour in linear light, both 0 to 255: viser takes those of fog and lines as they are."""
+    return tuple(round(255 * part) for part in linear(colour))
 
 
 def link_meshes(model: mujoco.MjModel, body: int, group: int) -> Meshes:

@@ -64,7 +64,31 @@
     if (knob) knob.setAttribute("transform", `translate(${-REACH * left} ${-REACH * forward})`);
   }
 
+  // On a phone viser's panel is a sheet over the picture. It is closed at first, and what one drives with lies free.
+  function phoneLayout(pad) {
+    document.querySelectorAll("[data-arrive-bar]").forEach((bar) => bar.remove());
+    if (!matchMedia("(max-width: 36em)").matches) return;
+    const bar = document.createElement("div");
+    bar.dataset.arriveBar = "";
+    const keys = document.createElement("div");
+    for (const label of ["Go", "Slow motion", "Reset"]) {
+      const key = document.createElement("button");
+      key.textContent = label;
+      key.onclick = () => {
+        const own = [...document.querySelectorAll("button[id]")].find((b) => b.textContent.startsWith(`${label} (`));
+        if (own) own.click();
+      };
+      keys.append(key);
+    }
+    bar.append(pad, keys);
+    document.body.append(bar);
+    const handle = document.querySelector('[style*="cursor: pointer"][style*="height: 3.5em"]');
+    if (handle && !window.arriveSheet) handle.click();
+    window.arriveSheet = true;
+  }
+
   const state = (window.arriveStick ??= shared());
+  phoneLayout(pad);
   const move = (event) => {
     const box = pad.getBoundingClientRect();
     const x = (event.clientX - box.left - box.width / 2) / REACH;
