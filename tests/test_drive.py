@@ -277,7 +277,7 @@ def test_drive_by_a_file(tmp_path, capsys):
         (["moon"], "no policy 'moon'"),
         (["--terrain", "moon"], "unknown terrain"),
         (["--level", "20", "--terrain", "gap"], "levels are 0 to 19"),
-        (["--terrain", "gap=2"], "the width of gap is 0.1 to 1.4 m"),
+        (["--terrain", "gap=2"], "the width of gap is 0.02 to 1.4 m"),
         (["--terrain", "gap=0.4", "--level", "2"], "not both"),
         (["--script", "absent.csv"], "cannot read absent.csv"),
         ([], "no gamepad"),

@@ -585,7 +585,7 @@ def test_what_the_command_is_asked_is_checked(capsys):
     pytest.importorskip("viser")
     assert "Valid:" in refused(capsys, "--terrain", "moon")
     assert "levels are 0 to 19" in refused(capsys, "--terrain", "gap", "--level", "20")
-    assert "0.1 to 1.4 m" in refused(capsys, "--terrain", "gap=4")
+    assert "0.02 to 1.4 m" in refused(capsys, "--terrain", "gap=4")
     assert "not both" in refused(capsys, "--terrain", "gap=0.4", "--level", "2")
     assert "--host is empty" in refused(capsys, "--host", "")
     assert "--seconds" in refused(capsys, "--seconds", "nan")

@@ -167,15 +167,15 @@ def test_ground_by_name_level_and_value():
     assert not np.array_equal(same, other)
     assert ground_of("stairs", 9, layout="evaluation").build().heights.max() == pytest.approx(13 * 0.45)
     # A level is one of the policy's own, a value is the parameter itself.
-    assert ground_of("gap", 2, levels=20).value == pytest.approx(0.1 + 2 * 1.3 / 19)
+    assert ground_of("gap", 2, levels=20).value == pytest.approx(0.02 + 2 * 1.38 / 19)
     assert ground_of(" gap = 0.4 ").words == "a gap to leap over, width 0.4 m"
     assert ground_of("flat").words == "flat ground"
     for mistake, part in (
         (("moon",), "unknown terrain"),
         (("gap", 10), "levels are 0 to 9"),
         (("gap=0.5", 1), "not both"),
-        (("gap=nan",), "0.1 to 1.4 m"),
-        (("gap=",), "0.1 to 1.4 m"),
+        (("gap=nan",), "0.02 to 1.4 m"),
+        (("gap=",), "0.02 to 1.4 m"),
         (("slope=1e9",), "0 to 55 deg"),
         (("flat=0",), "no parameter"),
     ):
