@@ -21,7 +21,7 @@ PARKED_BELOW = -50.0
 """Terrain geoms lower than this are unused ones [m]."""
 ACTIVE, IDLE = PALETTE[1], (235, 235, 235)
 """Colour of the target while the robot is sent there, and while it is not."""
-CAMERA, LOOK_AT = (-2.5, -3.2, 2.3), (1.0, 0.0, 0.25)
+CAMERA, LOOK_AT = (-3.0, -3.2, 2.3), (0.35, 0.0, 0.3)
 """Where a new browser looks from and to: along the way, from behind the robot and beside it, so that what lies ahead is
 seen [m]."""
 FIELD_OF_VIEW_RAD = 0.85
