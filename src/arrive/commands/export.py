@@ -25,14 +25,9 @@ def export(command: Export) -> None:
 def verify_file(command: Verify) -> None:
     """Check an exported policy and say what it is."""
     need_onnxruntime()
-    from arrive.deployment.verify import verify
+    from arrive.deployment.verify import describe, verify
 
-    file = verify(command.file)
-    pairs = len(file.meta["golden"]["actions"])
-    print(
-        f"{command.file} is sound: {file.robot.name}, {len(file.robot.joint_names)} joints, {file.terms[-1].stop} "
-        f"observations, task {file.task.name}, {1.0 / file.period_s:.0f} Hz, {pairs} golden pairs met"
-    )
+    print(describe(verify(command.file)))
 
 
 def need_onnxruntime() -> None:

@@ -1,15 +1,17 @@
 """From a trained policy to joint targets on a robot.
 
-`export` and `verify` belong to the training installation. Everything else here needs NumPy and onnxruntime alone:
+`export` belongs to the training installation. Everything else here needs NumPy and onnxruntime alone:
 
     from arrive.deployment import Controller, Sensors, Target
 """
 
-from arrive.deployment.controller import Controller, JointCommand
+from arrive.deployment.command import JointCommand
+from arrive.deployment.controller import Controller
 from arrive.deployment.goals import Goal, Joystick, Target, WayPoints
 from arrive.deployment.heights import GridHeights, HeightMap, PointCloud
 from arrive.deployment.inputs import Sensors
-from arrive.deployment.log import ControlLog, replay
+from arrive.deployment.log import ControlLog
+from arrive.deployment.replay import replay
 from arrive.deployment.safety import Safety
 
 __all__ = [

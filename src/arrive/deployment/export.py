@@ -1,6 +1,5 @@
-"""Writes a trained policy as one ONNX file that explains itself."""
+"""Writes a trained policy as one ONNX file that explains itself, and compares such a file with this version."""
 
-import hashlib
 import json
 from dataclasses import fields
 from pathlib import Path
@@ -12,8 +11,10 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from arrive.config import Config, to_dict
-from arrive.deployment.policy_file import DIGEST, FORMAT, INPUT, OUTPUT, PREFIX, digest, read_policy_file
+from arrive.config import Config, from_dict, to_dict
+from arrive.deployment.onnx_file import PREFIX, seal
+from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
+from arrive.deployment.writing import write_whole
 from arrive.errors import ArriveError
 from arrive.evaluation.records import DIFFICULTY_NAME
 from arrive.learning.checkpoint import check_schema
@@ -31,32 +32,50 @@ GOLDEN_PAIRS, GOLDEN_SEED = 16, 0
 
 
 def export_policy(policy: Policy, out: Path) -> None:
-    """Write a policy with all that running it takes, and read it back once.
+    """Write a policy with all that running it takes, whole or not at all; it is read back before it takes its place.
 
     Raises:
         ArriveError: it was trained on another observation than this version's, its networks are of an unknown kind,
-            or the file cannot be written.
+            its numbers cannot be right, or the file cannot be written.
     """
     sections = describe(policy.config)
     check_schema(policy.schema, sections["observation"], policy.path)
-    model = _graph(policy.actor.mlp)
     sections |= {
         "format": FORMAT,
         "training": {"config": to_dict(policy.config), "commit": policy.commit, "samples": policy.samples},
         "evaluation": _evaluation(policy.path.parent / DIFFICULTY_NAME),
         "golden": _golden(policy),
-        "weights": {"sha256": weights_digest(model)},
     }
-    text = {PREFIX + name: json.dumps(value) for name, value in sections.items()}
-    text[PREFIX + DIGEST] = json.dumps(digest(text))
-    helper.set_model_props(model, text)
+    model = _graph(policy.actor.mlp)
+    helper.set_model_props(model, {PREFIX + name: json.dumps(value) for name, value in sections.items()})
     onnx.checker.check_model(model)
+    write_whole(out, seal(model.SerializeToString()), read_policy_file)
+
+
+def compare_with_this_version(file: PolicyFile) -> None:
+    """Make sure that a file's robot, observation, grid, period and task are what this version has under these names.
+
+    Raises:
+        ArriveError: they are not; the message names the first place that differs.
+    """
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(model.SerializeToString())
-    except OSError as error:
-        raise ArriveError(f"cannot write {out}: {error}") from error
-    read_policy_file(out)
+        config = from_dict(Config, file.meta["training"]["config"])
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ArriveError(f"the metadata of {file.path} is damaged: {error!r}. Export the policy again.") from error
+    for section, expected in describe(config).items():
+        _compare(file.path, section, file.meta[section], expected)
+
+
+def _compare(path: Path, where: str, found: Any, expected: Any) -> None:
+    """Report the first difference by its place."""
+    if isinstance(expected, dict) and isinstance(found, dict):
+        for name in expected | found:
+            _compare(path, f"{where}.{name}", found.get(name), expected.get(name))
+    elif isinstance(expected, list) and isinstance(found, list) and len(found) == len(expected):
+        for i, pair in enumerate(zip(found, expected, strict=True)):
+            _compare(path, f"{where}[{i}]", *pair)
+    elif found != expected:
+        raise ArriveError(f"{path} does not fit this version of arrive: {where} is {found!r} there, {expected!r} here")
 
 
 def describe(config: Config) -> dict[str, Any]:
@@ -108,18 +127,6 @@ def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:
     nothing = Rasters(*(torch.zeros(1) for _ in fields(Rasters)))
     task = get_task(config.task.name)(config, nothing, torch.Generator())
     return Observer(task.observation_terms(robot), False, torch.device("cpu")).schema()
-
-
-def weights_digest(model: onnx.ModelProto) -> str:
-    """SHA-256 over the network's nodes and weights."""
-    whole = hashlib.sha256()
-    for node in model.graph.node:
-        whole.update(f"{node.op_type} {list(node.input)} {list(node.output)}".encode())
-        for attribute in node.attribute:
-            whole.update(f"{attribute.name}={helper.get_attribute_value(attribute)}".encode())
-    for tensor in model.graph.initializer:
-        whole.update(tensor.name.encode() + numpy_helper.to_array(tensor).astype("<f4").tobytes())
-    return whole.hexdigest()
 
 
 def _graph(network: nn.Sequential) -> onnx.ModelProto:

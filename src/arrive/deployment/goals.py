@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from arrive.deployment.policy_file import TaskSpec
-from arrive.deployment.safety import BadInput
+from arrive.deployment.faults import BadInput
+from arrive.deployment.specs import TaskSpec
 
 JOYSTICK_DISTANCE = 3.0
 """The pseudo target lies this far away (paper, section Energy Consumption) [m]."""
@@ -186,6 +186,8 @@ class Navigator:
         Raises:
             BadInput: no goal, or one that is not made of finite numbers.
         """
+        if goal is None:
+            raise BadInput("there is no goal")
         if not isinstance(goal, Joystick):
             self.release()
         if not isinstance(goal, WayPoints):
@@ -195,9 +197,7 @@ class Navigator:
             return self._reach_for(np.array(goal.position_w), goal.arrive_at_s, pos, now_s, "target")
         if isinstance(goal, Joystick):
             return self._steer(goal, pos, yaw, ground, now_s)
-        if isinstance(goal, WayPoints):
-            return self._follow(goal, pos, now_s)
-        raise BadInput("there is no goal")
+        return self._follow(goal, pos, now_s)
 
     def _reach_for(self, target: np.ndarray, deadline_s: float, pos: np.ndarray, now_s: float, mode: str) -> Order:
         """A target beyond training's reach is pulled onto the line to it, with the time for that part of the way."""
@@ -221,9 +221,9 @@ class Navigator:
         if not magnitude:
             if self._anchor is None:
                 ahead = np.zeros(2) if self._asked is None else STOP_S * self._asked
-                self._anchor = np.array([*(pos[:2] + ahead), height])
+                self._anchor = pos[:2] + ahead
             self._smooth(np.zeros(2), now_s)
-            return Order(self._anchor, self._hold_s, "stop", "")
+            return Order(np.array([*self._anchor, height]), self._hold_s, "stop", "")
         self._anchor = None
         angle = heading + math.atan2(stick.left, stick.forward)
         distance, left = stick_pace(self._task, magnitude)

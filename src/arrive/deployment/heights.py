@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from arrive.deployment.policy_file import GridSpec
+from arrive.deployment.specs import GridSpec
 
 FILL_RADIUS = 0.3
 """A grid point that nothing was seen at takes the height of the nearest seen one within this [m]."""

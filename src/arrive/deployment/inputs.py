@@ -1,6 +1,6 @@
 """What the controller is told in one step, brought into one shape whatever arrives, so that it can be logged."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -50,46 +50,110 @@ class Frame:
     now_s: float
     goal: Goal | None
     """None where what was given is no goal."""
+    mistake: str = ""
+    """What is wrong with the arguments themselves, such as two that are swapped; empty where nothing is."""
 
 
 ARRAYS = ("joint_pos", "joint_vel", "base_pos_w", "base_quat_w", "base_lin_vel_b", "base_ang_vel_b", "heights_w")
 TIMES = ("sensors_time_s", "terrain_time_s", "now_s")
+GOALS = (Target, Joystick, WayPoints)
+TERRAINS = (GridHeights, HeightMap, PointCloud)
 
 
 def numbers(value: Any) -> np.ndarray:
-    """A copy as float64, or an empty array where it is not made of numbers."""
+    """A copy as float64, or an empty array where it is not made of real numbers; masked entries become NaN."""
     try:
-        return np.array(value, dtype=np.float64)
+        if isinstance(value, np.ma.MaskedArray):
+            value = value.astype(np.float64).filled(np.nan)
+        return NOTHING if np.iscomplexobj(value) else np.array(value, dtype=np.float64)
     except Exception:  # a control loop must outlive whatever a driver hands over
         return NOTHING
 
 
 def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightGrid) -> Frame:
-    """Bring the arguments of a step into a frame; nothing they can hold makes this raise."""
-    values = {name: numbers(getattr(sensors, name, None)) for name in ARRAYS[:-1]}
+    """Bring the arguments of a step into a frame; nothing they hold or do makes this raise."""
+    values = {name: numbers(_attribute(sensors, name)) for name in ARRAYS[:-1]}
+    heights, mistake = NOTHING, _swapped(sensors, goal, terrain)
+    try:
+        heights, wrong = _heights(terrain, values["base_pos_w"], values["base_quat_w"], grid)
+        mistake = mistake or wrong
+    except Exception as error:  # whatever properties and array types of a caller's own raise
+        mistake = mistake or f"the {type(terrain).__name__} cannot be read: {type(error).__name__}"
     return Frame(
         **values,
-        sensors_time_s=number(getattr(sensors, "time_s", None)),
-        heights_w=_heights(terrain, values["base_pos_w"], values["base_quat_w"], grid),
-        terrain_time_s=number(getattr(terrain, "time_s", None)),
+        sensors_time_s=number(_attribute(sensors, "time_s")),
+        heights_w=heights,
+        terrain_time_s=number(_attribute(terrain, "time_s")),
         now_s=number(now_s),
-        goal=goal if isinstance(goal, Target | Joystick | WayPoints) else None,
+        goal=_goal(goal),
+        mistake=mistake,
     )
 
 
-def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightGrid) -> np.ndarray:
-    if isinstance(terrain, GridHeights):
-        return numbers(terrain.heights_w)
+def _attribute(value: Any, name: str) -> Any:
+    try:
+        return getattr(value, name, None)
+    except Exception:
+        return None
+
+
+def _goal(goal: Any) -> Goal | None:
+    """A goal of plain numbers, whatever subclass it was."""
+    for kind in GOALS:
+        if issubclass(type(goal), kind):
+            if type(goal) is kind:
+                return goal
+            return kind(**{field.name: _attribute(goal, field.name) for field in fields(kind)})
+    return None
+
+
+def _swapped(sensors: Any, goal: Any, terrain: Any) -> str:
+    """Say so if an argument is of the class that another one should have."""
+    roles = {"sensors": (Sensors,), "goal": GOALS, "terrain": TERRAINS}
+    given = {"sensors": sensors, "goal": goal, "terrain": terrain}
+    for name, value in given.items():
+        for role, kinds in roles.items():
+            if role != name and issubclass(type(value), kinds):
+                return (
+                    f"the argument {name} is a {type(value).__name__}, which belongs to {role}: "
+                    "call step(sensors, goal, terrain, now_s)"
+                )
+    return ""
+
+
+def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightGrid) -> tuple[np.ndarray, str]:
+    """Heights at the grid's points, and what is wrong with the arguments they were given with."""
+    kind = type(terrain)
+    if issubclass(kind, GridHeights):
+        heights = numbers(terrain.heights_w)
+        return heights, _shapes("GridHeights(heights_w, time_s)", ("heights_w", heights, 1))
     posed = pos.shape == (3,) and quat.shape == (4,) and bool(np.isfinite(pos).all() and np.isfinite(quat).all())
-    if not posed:
-        return NOTHING
-    if isinstance(terrain, HeightMap):
-        origin, heights = numbers(terrain.origin_w), numbers(terrain.heights_w)
-        cell = number(terrain.resolution_m)
-        if origin.shape == (2,) and np.isfinite(origin).all() and 0.0 < cell < np.inf and heights.ndim == 2:
-            return grid.from_map(origin, cell, heights, pos, heading(quat)) if heights.size else NOTHING
-    if isinstance(terrain, PointCloud):
+    if issubclass(kind, HeightMap):
+        origin, cell, heights = numbers(terrain.origin_w), number(terrain.resolution_m), numbers(terrain.heights_w)
+        wanted = "HeightMap(origin_w, resolution_m, heights_w, time_s)"
+        wrong = _shapes(wanted, ("origin_w", origin, (2,)), ("heights_w", heights, 2))
+        if not wrong and not (0.0 < cell < np.inf and np.isfinite(origin).all()):
+            wrong = f"{wanted}: origin_w must be finite and resolution_m above 0, not {cell:g}"
+        if wrong or not posed or not heights.size:
+            return NOTHING, wrong
+        return grid.from_map(origin, cell, heights, pos, heading(quat)), ""
+    if issubclass(kind, PointCloud):
         points = numbers(terrain.points_w)
-        if points.ndim == 2 and points.shape[1] == 3:
-            return grid.from_cloud(points, pos, heading(quat))
-    return NOTHING
+        wrong = _shapes("PointCloud(points_w, time_s)", ("points_w", points, (None, 3)))
+        return (NOTHING, wrong) if wrong or not posed else (grid.from_cloud(points, pos, heading(quat)), "")
+    return NOTHING, ""
+
+
+def _shapes(signature: str, *wanted: tuple[str, np.ndarray, int | tuple[int | None, ...]]) -> str:
+    """Say which of the arrays has not the wanted shape, or number of dimensions; a shape's None is any size."""
+    wrong = []
+    for name, array, shape in wanted:
+        if isinstance(shape, int):
+            fits, text = array.ndim == shape, f"{shape} dimension{'s' * (shape > 1)}"
+        else:
+            fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+            text = f"({', '.join('n' if n is None else str(n) for n in shape)}{',' * (len(shape) == 1)})"
+        if not fits:
+            has = "no array of numbers" if array is NOTHING else f"of shape {array.shape}"
+            wrong.append(f"{name} is {has}, not {text}")
+    return f"{signature}: {'; '.join(wrong)}. Are arguments swapped?" if wrong else ""

@@ -1,22 +1,22 @@
 """A log of every step's inputs and commands, from which the commands can be computed again."""
 
 import dataclasses
+import io
 import json
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from arrive.deployment.goals import Goal, Joystick, Target, WayPoints
-from arrive.deployment.inputs import ARRAYS, TIMES, Frame
-from arrive.deployment.policy_file import DIGEST, PolicyFile
+from arrive.deployment.command import JointCommand
+from arrive.deployment.goals import Goal
+from arrive.deployment.inputs import ARRAYS, GOALS, TIMES, Frame
+from arrive.deployment.policy_file import PolicyFile
+from arrive.deployment.writing import write_whole
 from arrive.errors import ArriveError
 
-if TYPE_CHECKING:
-    from arrive.deployment.controller import Controller, JointCommand
-
-GOALS = {kind.__name__: kind for kind in (Target, Joystick, WayPoints)}
+KINDS = {kind.__name__: kind for kind in GOALS}
 
 
 class ControlLog:
@@ -28,14 +28,18 @@ class ControlLog:
         self.frames: list[Frame] = []
         self.commands: list[JointCommand] = []
 
-    def append(self, policy: PolicyFile, frame: Frame, command: "JointCommand") -> None:
+    def append(self, policy: PolicyFile, frame: Frame, command: JointCommand) -> None:
         """Take down one step."""
-        self.policy_digest = policy.meta[DIGEST]
+        self.policy_digest = policy.digest
         self.frames.append(frame)
         self.commands.append(command)
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz file of plain arrays and JSON; reading it executes nothing."""
+        """Write an .npz file of plain arrays and JSON, whole or not at all; reading it executes nothing.
+
+        Raises:
+            ArriveError: the folder cannot be written or the disk is full.
+        """
         content: dict[str, Any] = {name: [getattr(frame, name) for frame in self.frames] for name in TIMES}
         for name in ARRAYS:
             values = [getattr(frame, name) for frame in self.frames]
@@ -44,15 +48,14 @@ class ControlLog:
         content["targets"] = np.array([command.targets for command in self.commands])
         content["texts"] = json.dumps({
             "policy": self.policy_digest,
+            "mistakes": [frame.mistake for frame in self.frames],
             "goals": [_goal_to_json(frame.goal) for frame in self.frames],
             "modes": [command.mode for command in self.commands],
             "reasons": [command.reason for command in self.commands],
         })  # fmt: skip
-        try:
-            with Path(path).open("wb") as file:
-                np.savez_compressed(file, **content)
-        except OSError as error:
-            raise ArriveError(f"cannot write {path}: {error}") from error
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **content)
+        write_whole(Path(path), buffer.getvalue())
 
     @classmethod
     def load(cls, path: Path | str) -> "ControlLog":
@@ -61,8 +64,6 @@ class ControlLog:
         Raises:
             ArriveError: missing, corrupt or foreign.
         """
-        from arrive.deployment.controller import JointCommand
-
         log = cls()
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -71,26 +72,14 @@ class ControlLog:
             arrays = {name: _split(content[name], json.loads(str(content[f"{name}_shapes"]))) for name in ARRAYS}
             times = {name: content[name].tolist() for name in TIMES}
             log.policy_digest = texts["policy"]
-            for i, goal in enumerate(texts["goals"]):
+            for i, (goal, mistake) in enumerate(zip(texts["goals"], texts["mistakes"], strict=True)):
                 columns = {name: values[i] for name, values in (arrays | times).items()}
-                log.frames.append(Frame(**columns, goal=_goal_from_json(goal)))
+                log.frames.append(Frame(**columns, goal=_goal_from_json(goal), mistake=mistake))
             rows = zip(content["targets"], texts["modes"], texts["reasons"], strict=True)
             log.commands += [JointCommand(*row) for row in rows]
         except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
             raise ArriveError(f"cannot read {path}: it is missing, corrupt or no log of a controller") from error
         return log
-
-
-def replay(log: ControlLog, controller: "Controller") -> "list[JointCommand]":
-    """The commands that the controller gives from a fresh start to the logged inputs.
-
-    Raises:
-        ArriveError: the log is of another policy.
-    """
-    if log.frames and log.policy_digest != controller.policy.meta[DIGEST]:
-        raise ArriveError(f"the log was taken with another policy than {controller.policy.path}")
-    controller.reset()
-    return [controller.step_frame(frame) for frame in log.frames]
 
 
 def _split(flat: np.ndarray, shapes: list[list[int]]) -> list[np.ndarray]:
@@ -107,4 +96,4 @@ def _goal_to_json(goal: Goal | None) -> dict[str, Any] | None:
 def _goal_from_json(data: dict[str, Any] | None) -> Goal | None:
     if data is None:
         return None
-    return GOALS[data.pop("kind")](**data)
+    return KINDS[data.pop("kind")](**data)

@@ -19,3 +19,15 @@ def heading(quat: np.ndarray) -> float:
     """Angle of the base's x axis in the ground plane, from the world's x axis [rad]."""
     w, x, y, z = quat.tolist()
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def tilt(quat: np.ndarray) -> float:
+    """Angle between the base's z axis and the vertical, 0 to pi; the quaternion may be of any length [rad]."""
+    w, x, y, z = quat.tolist()
+    return 2.0 * math.atan2(math.hypot(x, y), math.hypot(w, z))
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> float:
+    """Angle of the rotation from one orientation to another, 0 to pi; the quaternions may be of any length [rad]."""
+    lengths = math.sqrt(float(first @ first) * float(second @ second))
+    return 2.0 * math.acos(min(abs(float(first @ second)) / lengths, 1.0))

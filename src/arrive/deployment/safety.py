@@ -1,19 +1,10 @@
-"""What the controller refuses, and the limits that no command leaves."""
-
-from __future__ import annotations
+"""The limits of what the controller believes, and the limits that no command leaves."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from arrive.deployment.inputs import Frame
-    from arrive.deployment.policy_file import RobotSpec
-
-
-class BadInput(Exception):
-    """An input or result the policy must not act on; its message is the reason given with the safe stance."""
+from arrive.deployment.specs import RobotSpec
 
 
 @dataclass(frozen=True)
@@ -30,53 +21,26 @@ class Safety:
     """The policy takes over again after inputs have been good for this long."""
     glide_rad_s: float = 0.5
     """Largest speed at which the safe stance moves joint targets to the default pose."""
+    still_steps: int = 5
+    """A clock that hardly moves for this many steps stands still."""
+    tilt_rad: float = 1.3
+    """A base tilted by more than this has fallen. Policies on their hardest terrain walk with up to 1.13 rad."""
+    joint_margin_rad: float = 1.0
+    """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 rad."""
+    joint_speed_share: float = 10.0
+    """Joints cannot be faster than this many times their no-load speed; contacts drive simulated ones to 8 times."""
+    base_speed_m_s: float = 10.0
+    """A base cannot be faster than this."""
+    base_rate_rad_s: float = 30.0
+    """A base cannot turn faster than this."""
+    jump: float = 0.2
+    """Between two steps, positions change by no more than the largest speed allows and this [m or rad]."""
+    ground_m: float = 3.0
+    """A base that is this much higher or lower over the ground than when it stands is in another frame than the
+    heights, or in another unit."""
 
 
 DEFAULT = Safety()
-
-
-def check_sensors(frame: Frame, safety: Safety, joints: int) -> None:
-    """Make sure the robot's state is whole and fresh.
-
-    Raises:
-        BadInput: wrong size, non-finite, stale or not a rotation.
-    """
-    sizes = {
-        "joint_pos": joints,
-        "joint_vel": joints,
-        "base_pos_w": 3,
-        "base_quat_w": 4,
-        "base_lin_vel_b": 3,
-        "base_ang_vel_b": 3,
-    }
-    for name, size in sizes.items():
-        value = getattr(frame, name)
-        if value.shape != (size,):
-            raise BadInput(f"{name} is not {size} numbers")
-        if not np.isfinite(value).all():
-            raise BadInput(f"{name} is not finite")
-    if abs(float(frame.base_quat_w @ frame.base_quat_w) - 1.0) > 0.1:
-        raise BadInput("base_quat_w is not a unit quaternion")
-    _check_age("sensors", frame.sensors_time_s, frame.now_s, safety.sensors_age_s)
-
-
-def check_terrain(frame: Frame, safety: Safety, points: int) -> None:
-    """Make sure the heights are whole and fresh; NaN is a point that nothing was seen at.
-
-    Raises:
-        BadInput: wrong size, infinite or stale.
-    """
-    if frame.heights_w.shape != (points,):
-        raise BadInput(f"heights are not {points} numbers, a height map or a point cloud")
-    if np.isinf(frame.heights_w).any():
-        raise BadInput("heights are infinite")
-    _check_age("heights", frame.terrain_time_s, frame.now_s, safety.terrain_age_s)
-
-
-def _check_age(what: str, time_s: float, now_s: float, limit_s: float) -> None:
-    age = now_s - time_s
-    if not abs(age) <= limit_s:
-        raise BadInput(f"{what} are {age:.3g} s old, more than {limit_s:g} s from now")
 
 
 class Limits:

@@ -1,0 +1,246 @@
+"""The bytes of an exported policy: sealed by a checksum, and read without the `onnx` package.
+
+An ONNX file is a Protocol Buffers message (onnx.proto3, field numbers below). Of all that such a file may hold, an
+exported policy has little: a chain of `Gemm` and `Elu` nodes, float32 weights within the file, and metadata. Everything
+else is refused before onnxruntime sees it: external data, other operators, other fields, sizes beyond the file's own.
+"""
+
+import hashlib
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from arrive.errors import ArriveError
+
+PREFIX = "arrive."
+"""Every metadata key begins with this; each value is JSON."""
+SEAL = "sha256"
+"""The last metadata entry: the SHA-256 of all bytes before it."""
+OPERATORS = ("Gemm", "Elu")
+LARGEST_FILE = 256 * 2**20
+"""A policy file is some hundred kB; more than this is not read [bytes]."""
+
+VARINT, BYTES, FIXED32 = 0, 2, 5
+FLOAT32 = 1
+"""TensorProto.DataType.FLOAT."""
+MODEL = {1: "ir_version", 2: "producer_name", 3: "producer_version", 4: "domain", 5: "model_version", 6: "doc_string",
+         7: "graph", 8: "opset_import", 14: "metadata_props"}  # fmt: skip
+GRAPH = {1: "node", 2: "name", 5: "initializer", 10: "doc_string", 11: "input", 12: "output"}
+NODE = {1: "input", 2: "output", 3: "name", 4: "op_type", 5: "attribute", 6: "doc_string", 7: "domain"}
+ATTRIBUTE = {1: "name", 2: "f", 3: "i", 20: "type"}
+TENSOR = {1: "dims", 2: "data_type", 8: "name", 9: "raw_data", 14: "data_location"}
+OPSET = {1: "domain", 2: "version"}
+ENTRY = {1: "key", 2: "value"}
+NUMBERS = {"ir_version", "model_version", "version", "i", "type", "dims", "data_type", "data_location"}
+"""Fields that are whole numbers; `f` is a float32, all others are bytes."""
+REFUSED = {
+    "TensorProto": {13: "external data"},
+    "ModelProto": {20: "training information", 25: "functions of its own"},
+    "AttributeProto": {5: "a tensor", 6: "a graph"},
+}
+"""What is worth a name of its own when it is refused."""
+
+
+class Damaged(Exception):
+    """The bytes are no exported policy; the message says where."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxFile:
+    """What an exported policy holds."""
+
+    content: bytes
+    metadata: dict[str, str]
+    """Without the seal."""
+    weights: dict[str, np.ndarray]
+    """float32, by name."""
+    digest: str
+    """SHA-256 that seals the file, in hexadecimal."""
+
+
+def seal(content: bytes) -> bytes:
+    """Append the checksum of a model to it, as one more entry of its metadata."""
+    return content + _seal_of(content)
+
+
+def _seal_of(content: bytes) -> bytes:
+    key, value = (PREFIX + SEAL).encode(), f'"{hashlib.sha256(content).hexdigest()}"'.encode()
+    entry = b"\x0a" + bytes([len(key)]) + key + b"\x12" + bytes([len(value)]) + value
+    return b"\x72" + bytes([len(entry)]) + entry  # field 14, metadata_props
+
+
+def read_onnx_file(path: Path) -> OnnxFile:
+    """Read the bytes of an exported policy and make sure they are those that were written, and harmless.
+
+    Raises:
+        ArriveError: missing, changed, truncated, foreign, or with anything that no exported policy has.
+    """
+    content = _read(path)
+    body = _sealed_body(path, content)
+    try:
+        metadata, weights = _read_model(memoryview(body))
+    except (Damaged, UnicodeDecodeError) as problem:
+        raise ArriveError(f"{path} is refused: {problem}. Export the policy again with `arrive export`.") from problem
+    return OnnxFile(content, metadata, weights, hashlib.sha256(body).hexdigest())
+
+
+def _read(path: Path) -> bytes:
+    if not path.is_file():
+        raise ArriveError(f"there is no file {path}")
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise ArriveError(f"{path} has {size / 1e6:.0f} MB; a policy has less than {LARGEST_FILE / 1e6:.0f} MB")
+        return path.read_bytes()
+    except OSError as error:
+        raise ArriveError(f"cannot read {path}: {error}") from error
+
+
+def _sealed_body(path: Path, content: bytes) -> bytes:
+    """All bytes before the seal."""
+    size = len(_seal_of(b""))
+    body = content[:-size]
+    if len(content) > size and content == body + _seal_of(body):
+        return body
+    export = re.search(rb"arrive\.format\x12.(\d{1,9})", content)
+    if not export:
+        raise ArriveError(
+            f"{path} is no policy of arrive: it is truncated, corrupt, or was not written by `arrive export`"
+        )
+    if PREFIX.encode() + SEAL.encode() not in content:
+        raise ArriveError(
+            f"{path} is truncated, or of another version of arrive (export format {export[1].decode()}). "
+            "Export the policy again."
+        )
+    raise ArriveError(f"{path} was changed after the export: its checksum differs. Export the policy again.")
+
+
+def _read_model(body: memoryview) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    metadata, weights, graphs = {}, {}, 0
+    for name, value in _fields(body, MODEL, "ModelProto"):
+        if name == "graph":
+            graphs += 1
+            weights = _read_graph(value)
+        elif name == "opset_import" and _one(value, OPSET, "OperatorSetIdProto").get("domain", b""):
+            raise Damaged("it asks for foreign operators")
+        elif name == "metadata_props":
+            entry = _one(value, ENTRY, "StringStringEntryProto")
+            key = bytes(entry.get("key", b"")).decode()
+            if key in metadata:
+                raise Damaged(f"its metadata has {key!r} twice")
+            metadata[key] = bytes(entry.get("value", b"")).decode()
+    if graphs != 1:
+        raise Damaged(f"it has {graphs} networks")
+    return metadata, weights
+
+
+def _read_graph(graph: memoryview) -> dict[str, np.ndarray]:
+    """Its weights; the nodes are only checked."""
+    weights = {}
+    for name, value in _fields(graph, GRAPH, "GraphProto"):
+        if name == "node":
+            _check_node(value)
+        elif name == "initializer":
+            label, array = _read_tensor(value)
+            if label in weights:
+                raise Damaged(f"it has two weights {label!r}")
+            weights[label] = array
+    return weights
+
+
+def _check_node(node: memoryview) -> None:
+    operator = None
+    for name, value in _fields(node, NODE, "NodeProto"):
+        if name == "op_type":
+            operator = bytes(value).decode()
+        elif name == "domain" and value:
+            raise Damaged("it has a foreign operator")
+        elif name == "attribute":
+            _one(value, ATTRIBUTE, "AttributeProto")
+    if operator not in OPERATORS:
+        raise Damaged(f"it has the operator {operator!r}, policies have {' and '.join(OPERATORS)}")
+
+
+def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
+    """Name and values of float32 weights, whose bytes must be there."""
+    dims, one = [], {}
+    for name, value in _fields(tensor, TENSOR, "TensorProto"):
+        if name == "dims":
+            # Several in one field, or one field each.
+            dims += _varints(value) if isinstance(value, memoryview) else [value]
+        else:
+            one[name] = value
+    label, data = bytes(one.get("name", b"")).decode(), one.get("raw_data")
+    if one.get("data_location", 0) != 0:
+        raise Damaged(f"the weights {label!r} are external data")
+    if one.get("data_type") != FLOAT32 or not isinstance(data, memoryview):
+        raise Damaged(f"the weights {label!r} are not 32-bit floating-point numbers")
+    if not all(dims) or len(data) != 4 * math.prod(dims):
+        raise Damaged(f"the weights {label!r} are declared as {dims}, their data have {len(data)} bytes")
+    array = np.frombuffer(data, dtype="<f4").reshape(dims)
+    if not np.isfinite(array).all():
+        raise Damaged(f"the weights {label!r} are not finite")
+    return label, array
+
+
+def _one(message: memoryview, known: dict[int, str], kind: str) -> dict[str, int | memoryview]:
+    """A message in which every field is there once at most."""
+    values: dict[str, int | memoryview] = {}
+    for name, value in _fields(message, known, kind):
+        if name in values:
+            raise Damaged(f"a {kind} has {name} twice")
+        values[name] = value
+    return values
+
+
+def _fields(message: memoryview, known: dict[int, str], kind: str) -> Iterator[tuple[str, int | memoryview]]:
+    """Name and value of every field of a Protocol Buffers message; a field that is not known is refused."""
+    at = 0
+    while at < len(message):
+        tag, at = _varint(message, at)
+        field, wire = tag >> 3, tag & 7
+        if field not in known:
+            what = REFUSED.get(kind, {}).get(field, f"the unknown field {field}")
+            raise Damaged(f"its {kind} has {what}")
+        name = known[field]
+        if wire not in ((VARINT, BYTES) if name == "dims" else (_wire_of(name),)):
+            raise Damaged(f"its {kind} has a {name} of another type")
+        if wire == VARINT:
+            value, at = _varint(message, at)
+            yield name, value
+            continue
+        size, at = (4, at) if wire == FIXED32 else _varint(message, at)
+        if at + size > len(message):
+            raise Damaged(f"its {kind} declares more data than the file has")
+        yield name, message[at : at + size]
+        at += size
+
+
+def _wire_of(name: str) -> int:
+    return VARINT if name in NUMBERS else FIXED32 if name == "f" else BYTES
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    """A number, and where the next field begins."""
+    value = 0
+    for shift in range(0, 70, 7):
+        if at >= len(message):
+            break
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise Damaged("it ends within a number")
+
+
+def _varints(message: memoryview) -> list[int]:
+    values, at = [], 0
+    while at < len(message):
+        value, at = _varint(message, at)
+        values.append(value)
+    return values

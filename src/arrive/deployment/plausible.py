@@ -1,0 +1,125 @@
+"""Checks that the values of an exported policy can be right: finite, of the right sign, size and order."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from arrive.deployment.specs import GridSpec, RobotSpec, TaskSpec
+
+LARGEST_ANGLE_RAD = 100.0
+"""Joint limits beyond this are no radians."""
+LARGEST_LENGTH_M = 20.0
+"""Of a robot and the ground that its policy looks at."""
+SAME_M = 1e-4
+"""Grid points are where they should be within this."""
+LEAST_GOLDEN = 1e-3
+"""Golden inputs and outputs must vary by this much at least; pairs that do not would be met by any network."""
+
+
+class Implausible(Exception):
+    """A value that cannot be right; the message names it."""
+
+
+def number(name: str, value: Any) -> float:
+    """The value, if it is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise Implausible(f"{name} is {value!r}, not a finite number")
+    return float(value)
+
+
+def positive(name: str, value: Any, most: float = 1e6) -> float:
+    """The value, if it is a number above 0 and at most `most`."""
+    if not 0.0 < number(name, value) <= most:
+        raise Implausible(f"{name} is {value!r}, not above 0 and at most {most:g}")
+    return float(value)
+
+
+def numbers(name: str, values: Any, size: int) -> list[float]:
+    """The values, if they are a list of so many finite numbers."""
+    if not isinstance(values, list) or len(values) != size:
+        raise Implausible(f"{name} is not a list of {size} numbers")
+    return [number(f"{name}[{i}]", value) for i, value in enumerate(values)]
+
+
+def ascending(name: str, values: Any) -> tuple[float, float]:
+    """The values, if they are two numbers of which the second is larger."""
+    low, high = numbers(name, values, 2)
+    if not low < high:
+        raise Implausible(f"{name} is {values!r}, not in ascending order")
+    return low, high
+
+
+def check_robot(robot: RobotSpec) -> None:
+    """Make sure that limits, default pose, gains and the motor's figures can be those of a robot."""
+    names = robot.joint_names
+    if not isinstance(names, list) or not names or not all(isinstance(x, str) and x for x in names):
+        raise Implausible("robot.joint_names is not a list of names")
+    if len(set(names)) != len(names):
+        raise Implausible("robot.joint_names has a name twice")
+    default = numbers("robot.default_joint_pos_rad", robot.default_joint_pos_rad, len(names))
+    if not isinstance(robot.joint_limits_rad, list) or len(robot.joint_limits_rad) != len(names):
+        raise Implausible(f"robot.joint_limits_rad is not a list of {len(names)} ranges")
+    for joint, pose, limits in zip(names, default, robot.joint_limits_rad, strict=True):
+        low, high = ascending(f"the range of {joint}", limits)
+        if max(-low, high) > LARGEST_ANGLE_RAD:
+            raise Implausible(f"the range of {joint} is {limits}, which are no radians")
+        if not low <= pose <= high:
+            raise Implausible(f"the default position of {joint}, {pose:g} rad, is outside its range {limits}")
+    positive("robot.action_scale_rad", robot.action_scale_rad, LARGEST_ANGLE_RAD)
+    positive("robot.standing_height_m", robot.standing_height_m, LARGEST_LENGTH_M)
+    for name in ("stiffness", "effort_limit", "stall_torque", "no_load_speed"):
+        positive(f"robot.{name}", getattr(robot, name))
+    if number("robot.damping", robot.damping) < 0.0:
+        raise Implausible(f"robot.damping is {robot.damping!r}, not 0 or above")
+    if robot.stall_torque < robot.effort_limit:
+        raise Implausible("robot.stall_torque is below robot.effort_limit")
+
+
+def check_grid(grid: GridSpec) -> None:
+    """Make sure that the points are a whole regular grid, x slowest, both ascending."""
+    step = positive("heights.step_m", grid.step_m, LARGEST_LENGTH_M)
+    positive("heights.clip_m", grid.clip_m, LARGEST_LENGTH_M)
+    if abs(number("heights.offset_m", grid.offset_m)) > LARGEST_LENGTH_M:
+        raise Implausible(f"heights.offset_m is {grid.offset_m!r}")
+    if not isinstance(grid.points_m, list) or not grid.points_m:
+        raise Implausible("heights.points_m is not a list of points")
+    points = np.array([numbers(f"heights.points_m[{i}]", point, 2) for i, point in enumerate(grid.points_m)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    if max(-low.min(), high.max()) > LARGEST_LENGTH_M:
+        raise Implausible("heights.points_m lie farther away than a policy looks")
+    nx, ny = (np.rint((high - low) / step) + 1).astype(int)
+    if nx * ny == len(points):
+        whole = low + step * np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
+        if np.abs(points - whole).max() <= SAME_M:
+            return
+    raise Implausible("heights.points_m are no whole grid with heights.step_m between its points")
+
+
+def check_task(task: TaskSpec) -> None:
+    """Make sure that times and distances can be those of a task."""
+    positive("task.episode_s", task.episode_s)
+    positive("task.reward_window_s", task.reward_window_s, task.episode_s)
+    positive("task.arrival_radius_m", task.arrival_radius_m)
+    if abs(number("task.target_height_m", task.target_height_m)) > LARGEST_LENGTH_M:
+        raise Implausible(f"task.target_height_m is {task.target_height_m!r}")
+    near, far = numbers("task.target_distance_m", task.target_distance_m, 2)
+    if not 0.0 <= near <= far or far == 0.0:
+        raise Implausible(f"task.target_distance_m is {task.target_distance_m!r}, not a range of distances")
+
+
+def check_golden(golden: dict[str, Any], size: int, joints: int) -> tuple[np.ndarray, np.ndarray]:
+    """(n, size) inputs and (n, joints) outputs of the golden pairs, if they would tell a broken network."""
+    pairs = []
+    for name, width in (("observations", size), ("actions", joints)):
+        values = np.array(golden[name], dtype=np.float32)
+        if values.ndim != 2 or values.shape[1] != width or len(values) < 2:
+            raise Implausible(f"golden.{name} are not at least two rows of {width} numbers")
+        if not np.isfinite(values).all():
+            raise Implausible(f"golden.{name} are not finite")
+        if not np.ptp(values, axis=0).max() >= LEAST_GOLDEN:
+            raise Implausible(f"golden.{name} are all the same")
+        pairs.append(values)
+    if len(pairs[0]) != len(pairs[1]):
+        raise Implausible("golden.observations and golden.actions differ in number")
+    return pairs[0], pairs[1]

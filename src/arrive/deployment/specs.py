@@ -1,0 +1,69 @@
+"""What an exported policy says of its robot, its observation and its task."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Term:
+    """One named slice of the observation."""
+
+    name: str
+    start: int
+    stop: int
+    unit: str
+    frame: str
+    scale: float
+    """The network receives value * scale."""
+    labels: list[str]
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """What the controller must know of the robot; lists are in the order of `joint_names`."""
+
+    name: str
+    joint_names: list[str]
+    default_joint_pos_rad: list[float]
+    joint_limits_rad: list[list[float]]
+    """Lowest and highest position of each joint."""
+    action_scale_rad: float
+    """Joint target = default position + this * action."""
+    stiffness: float
+    """Proportional gain the drives must run with [N m/rad]."""
+    damping: float
+    """Derivative gain the drives must run with [N m s/rad]."""
+    effort_limit: float
+    """[N m]."""
+    stall_torque: float
+    """[N m]."""
+    no_load_speed: float
+    """[rad/s]."""
+    standing_height_m: float
+    """Base above flat ground at the default pose."""
+
+
+@dataclass(frozen=True)
+class GridSpec:
+    """Where the network wants to know the ground's height."""
+
+    points_m: list[list[float]]
+    """x forward and y left of the base, horizontal, turned with its heading."""
+    step_m: float
+    offset_m: float
+    """Heights are relative to this far below the base, positive down."""
+    clip_m: float
+    """Relative heights are cut at plus and minus this."""
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """What the policy was trained to do."""
+
+    name: str
+    reward_window_s: float
+    episode_s: float
+    target_height_m: float
+    """Targets were this high above the ground."""
+    target_distance_m: list[float]
+    """Nearest and farthest target."""
+    arrival_radius_m: float

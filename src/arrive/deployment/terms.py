@@ -1,0 +1,115 @@
+"""The observation's terms by name: what each is, and how the controller computes it.
+
+Training has the same names in `arrive.task.observations`, with noise and mirror maps; the exported file lists which
+terms its network wants, in which order and at which scale. `check_terms` compares the file with this table.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from arrive.deployment.goals import Order
+from arrive.deployment.inputs import Frame
+from arrive.deployment.policy_file import PolicyFile
+from arrive.errors import ArriveError, unknown_name
+
+
+class Moment(NamedTuple):
+    """What the terms of one step are computed from."""
+
+    policy: PolicyFile
+    frame: Frame
+    to_world: np.ndarray
+    """(3, 3) rotation from base to world."""
+    order: Order
+    action: np.ndarray
+    """(joints,) the network's last output, or the action that the safe stance stands for."""
+    heights_w: np.ndarray
+    """(points,) without NaN [m]."""
+    default: np.ndarray
+    """(joints,) default pose [rad]."""
+
+
+@dataclass(frozen=True)
+class ObservedTerm:
+    """One term of the observation."""
+
+    unit: str
+    frame: str
+    """As the file has it up to the first comma."""
+    meaning: str
+    size: Callable[[PolicyFile], int]
+    compute: Callable[[Moment], np.ndarray | tuple[float, ...]]
+    """In `unit`, before the scale."""
+
+
+def _three(policy: PolicyFile) -> int:
+    return 3
+
+
+def _joints(policy: PolicyFile) -> int:
+    return len(policy.robot.joint_names)
+
+
+def _heights(moment: Moment) -> np.ndarray:
+    grid = moment.policy.grid
+    below = moment.frame.base_pos_w[2] - grid.offset_m - moment.heights_w
+    return np.minimum(np.maximum(below, -grid.clip_m), grid.clip_m)
+
+
+TERMS: dict[str, ObservedTerm] = {
+    "base_lin_vel": ObservedTerm(
+        "m/s", "base", "velocity of the base frame's origin", _three, lambda m: m.frame.base_lin_vel_b
+    ),
+    "base_ang_vel": ObservedTerm(
+        "rad/s", "base", "angular velocity of the base", _three, lambda m: m.frame.base_ang_vel_b
+    ),
+    "gravity": ObservedTerm(
+        "1", "base", "direction of gravity, (0, 0, -1) when upright", _three, lambda m: -m.to_world[2]
+    ),
+    "target": ObservedTerm(
+        "m", "base", "from the base to the target", _three,
+        lambda m: (m.order.target_w - m.frame.base_pos_w) @ m.to_world,
+    ),
+    "time_left": ObservedTerm(
+        "s", "", "until the robot is to be there, at most an episode", lambda policy: 1,
+        lambda m: (min(m.order.time_left_s, m.policy.task.episode_s),),
+    ),
+    "joint_pos": ObservedTerm(
+        "rad", "relative to the default pose", "joint positions minus the default pose", _joints,
+        lambda m: m.frame.joint_pos - m.default,
+    ),
+    "joint_vel": ObservedTerm("rad/s", "joint", "joint velocities", _joints, lambda m: m.frame.joint_vel),
+    "action": ObservedTerm(
+        "action scale", "joint", "the network's last output; after a safe stance the pose that was held", _joints,
+        lambda m: m.action,
+    ),
+    "heights": ObservedTerm(
+        "m", "heading", "clip(base z - offset - ground, -clip, clip) at the grid's points",
+        lambda policy: len(policy.grid.points_m), _heights,
+    ),
+}  # fmt: skip
+"""In the order of training; a file may have another."""
+
+
+def check_terms(policy: PolicyFile) -> None:
+    """Make sure that every term the network wants is in the table, and means there what it means in the file.
+
+    Raises:
+        ArriveError: an unknown term, or one of another size, unit or frame.
+    """
+    for term in policy.terms:
+        if term.name not in TERMS:
+            raise unknown_name("observation of the controller, needed by the policy:", term.name, TERMS)
+        known = TERMS[term.name]
+        for what, found, expected in (
+            ("entries", term.stop - term.start, known.size(policy)),
+            ("as its unit", term.unit, known.unit),
+            ("as its frame", term.frame.split(",")[0], known.frame),
+        ):
+            if found != expected:
+                raise ArriveError(
+                    f"observation {term.name!r} of {policy.path} has {found!r} {what}, the controller has {expected!r}"
+                )
