@@ -47,6 +47,7 @@ from arrive.errors import ArriveError
 from arrive.learning.policy import load_policy
 from arrive.learning.ppo import make_actor
 from arrive.learning.rundir import write_config
+from arrive.learning.symmetry import make_reflections
 from arrive.learning.trainer import Trainer
 from arrive.presets import get_preset
 from arrive.task.registry import get_task
@@ -712,9 +713,17 @@ class Broken(HeightMap):
 
 
 def test_objects_that_raise_mean_the_safe_stance(controller):
-    late, broken = object.__new__(Late), object.__new__(Broken)
+    late, broken, empty = object.__new__(Late), object.__new__(Broken), object.__new__(Target)
     good = standing(controller, 0.0), AHEAD, flat(0.0), 0.0
-    for place, value in ((0, Raises()), (1, Raises()), (1, late), (2, Raises()), (2, broken), (3, Raises())):
+    for place, value in (
+        (0, Raises()),
+        (1, Raises()),
+        (1, late),
+        (1, empty),
+        (2, Raises()),
+        (2, broken),
+        (3, Raises()),
+    ):
         controller.reset()
         command = controller.step(*good[:place], value, *good[place + 1 :])
         assert command.mode == "safe", (place, value)
@@ -803,9 +812,9 @@ def flip(index):
     """Turn the sign of one weight of the first layer."""
 
     def apply(model, text):
-        weights = numpy_helper.to_array(model.graph.initializer[0]).copy()
+        weights = numpy_helper.to_array(first_layer(model)).copy()
         weights[0, index] *= -1
-        model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, model.graph.initializer[0].name))
+        first_layer(model).CopyFrom(numpy_helper.from_array(weights, "w0"))
 
     return apply
 
@@ -861,9 +870,9 @@ def test_verify_refuses_what_was_changed(exported, tmp_path, change, sealed, mes
 
 def test_every_weight_counts_even_one_too_small_for_the_golden_pairs(exported, tmp_path):
     def nudge(model, text):
-        weights = numpy_helper.to_array(model.graph.initializer[0]).copy()
+        weights = numpy_helper.to_array(first_layer(model)).copy()
         weights[0, 0] = np.nextafter(weights[0, 0], np.float32(9))
-        model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, model.graph.initializer[0].name))
+        first_layer(model).CopyFrom(numpy_helper.from_array(weights, "w0"))
 
     with pytest.raises(ArriveError, match="was changed after the export"):
         verify(changed(exported, tmp_path, nudge))
@@ -908,7 +917,9 @@ def small(run, tmp_path_factory):
     policy = load_policy(run)
     torch.manual_seed(0)
     sample = TensorDict({POLICY: torch.zeros(1, 236)}, batch_size=[1])
-    actor = make_actor(dataclasses.replace(policy.config.ppo, hidden=(8,)), sample, 12)
+    actor = make_actor(
+        dataclasses.replace(policy.config.ppo, hidden=(8,)), sample, 12, make_reflections(an_env("flat"))
+    )
     path = tmp_path_factory.mktemp("small") / "small.onnx"
     export_policy(dataclasses.replace(policy, actor=actor), path)
     return path
@@ -985,7 +996,7 @@ def test_values_that_cannot_be_are_refused_though_the_checksum_agrees(small, tmp
 
 def external(location):
     def apply(model, text):
-        tensor = model.graph.initializer[0]
+        tensor = first_layer(model)
         onnx.external_data_helper.set_external_data(tensor, location, offset=0, length=len(tensor.raw_data))
         tensor.ClearField("raw_data")
 
@@ -994,8 +1005,8 @@ def external(location):
 
 def huge(model, text):
     """A constant of 80 GB in a file of some kB."""
-    del model.graph.initializer[0].dims[:]
-    model.graph.initializer[0].dims.extend([100_000, 200_000])
+    del first_layer(model).dims[:]
+    first_layer(model).dims.extend([100_000, 200_000])
 
 
 def with_operator(operator, domain=""):
@@ -1007,9 +1018,9 @@ def with_operator(operator, domain=""):
 
 def weight(value):
     def apply(model, text):
-        weights = numpy_helper.to_array(model.graph.initializer[0]).copy()
+        weights = numpy_helper.to_array(first_layer(model)).copy()
         weights[0, 0] = value
-        model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, model.graph.initializer[0].name))
+        first_layer(model).CopyFrom(numpy_helper.from_array(weights, "w0"))
 
     return apply
 
@@ -1020,8 +1031,12 @@ def with_constant(model, text):
     model.graph.node[0].attribute.append(onnx.helper.make_attribute("value", value))
 
 
+def first_layer(model):
+    return next(tensor for tensor in model.graph.initializer if tensor.name == "w0")
+
+
 def doubles(model, text):
-    first = model.graph.initializer[0]
+    first = first_layer(model)
     first.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(first).astype(np.float64), first.name))
 
 
@@ -1037,8 +1052,8 @@ NETWORKS = {
     "NaN weight": (weight(np.nan), "not finite"),
     "infinite weight": (weight(np.inf), "not finite"),
     "other weight": (weight(1e37), "golden actions differ"),
-    "doubles": (doubles, "not 32-bit"),
-    "a loop": (lambda m, t: m.graph.node[0].input.__setitem__(0, "action"), "onnxruntime cannot run"),
+    "doubles": (doubles, "neither 32-bit"),
+    "a loop": (lambda m, t: m.graph.node[-1].input.__setitem__(1, "action"), "onnxruntime cannot run"),
     "other input": (lambda m, t: setattr(m.graph.input[0], "name", "x"), "onnxruntime cannot run|must map"),
 }
 
@@ -1091,7 +1106,7 @@ def test_export_leaves_the_file_before_where_it_fails(run, tmp_path, monkeypatch
     def full(handle):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("arrive.deployment.writing.os.fsync", full)
+    monkeypatch.setattr("arrive.files.os.fsync", full)
     with pytest.raises(ArriveError, match=r"cannot write .*policy.onnx: .*No space left.* Free some space"):
         export_policy(load_policy(run), out)
     log = ControlLog()

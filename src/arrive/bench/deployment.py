@@ -97,7 +97,7 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
     sample = TensorDict({POLICY: torch.zeros(1, content["observation"][-1]["stop"])}, batch_size=[1])
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        actor = make_actor(config.ppo, sample, len(content["robot"]["joint_names"]))
+        actor = make_actor(config.ppo, sample, len(content["robot"]["joint_names"]), 0)
     export_policy(Policy(path, config, content["observation"], "none", 0, actor), path)
 
 

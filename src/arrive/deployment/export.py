@@ -9,16 +9,17 @@ import numpy as np
 import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
-from torch import nn
+from torch import Tensor, nn
 
 from arrive.config import Config, from_dict, to_dict
 from arrive.deployment.onnx_file import PREFIX, seal
 from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
-from arrive.deployment.writing import write_whole
 from arrive.errors import ArriveError
 from arrive.evaluation.records import DIFFICULTY_NAME
+from arrive.files import whole
 from arrive.learning.checkpoint import check_schema
 from arrive.learning.policy import Policy
+from arrive.learning.networks import Facing, Network
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.heights import HeightGrid
@@ -46,10 +47,12 @@ def export_policy(policy: Policy, out: Path) -> None:
         "evaluation": _evaluation(policy.path.parent / DIFFICULTY_NAME),
         "golden": _golden(policy),
     }
-    model = _graph(policy.actor.mlp)
+    model = _model(policy.actor)
     helper.set_model_props(model, {PREFIX + name: json.dumps(value) for name, value in sections.items()})
     onnx.checker.check_model(model)
-    write_whole(out, seal(model.SerializeToString()), read_policy_file)
+    with whole(out) as file:
+        file.write_bytes(seal(model.SerializeToString()))
+        read_policy_file(file)
 
 
 def compare_with_this_version(file: PolicyFile) -> None:
@@ -129,27 +132,80 @@ def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:
     return Observer(task.observation_terms(robot), False, torch.device("cpu")).schema()
 
 
-def _graph(network: nn.Sequential) -> onnx.ModelProto:
-    """Gemm and Elu nodes with a free batch size."""
-    nodes, weights, value = [], [], INPUT
-    layers = [layer for layer in network if not isinstance(layer, nn.Identity)]
-    for i, layer in enumerate(layers):
-        output = OUTPUT if i == len(layers) - 1 else f"h{i}"
-        if isinstance(layer, nn.Linear):
-            for name, tensor in ((f"w{i}", layer.weight), (f"b{i}", layer.bias)):
-                weights.append(numpy_helper.from_array(tensor.detach().numpy(), name))
-            nodes.append(helper.make_node("Gemm", [value, f"w{i}", f"b{i}"], [output], transB=1))
-        elif isinstance(layer, nn.ELU):
-            nodes.append(helper.make_node("Elu", [value], [output], alpha=float(layer.alpha)))
-        else:
-            raise ArriveError(f"cannot export a network with a layer {type(layer).__name__}")
-        value = output
-    linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+class _Graph:
+    """An ONNX graph as it grows: constants, and nodes that turn the present value into the next."""
+
+    def __init__(self):
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[TensorProto] = []
+
+    def constant(self, name: str, value: Tensor) -> str:
+        self.constants.append(numpy_helper.from_array(value.detach().cpu().numpy(), name))
+        return name
+
+    def node(self, operator: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        self.nodes.append(helper.make_node(operator, inputs, [output], **attributes))
+        return output
+
+
+def _model(network: Network) -> onnx.ModelProto:
+    """The network with a free batch size."""
+    graph = _Graph()
+    value, needed = INPUT, []
+    if network.facing is not None:
+        value, needed = _reflect_observation(graph, network.facing)
+    value = _layers(graph, network.mlp, value)
+    if network.facing is not None:
+        value = _reflect_action(graph, network.facing, value, needed)
+    graph.nodes[-1].output[0] = OUTPUT
+    linear = [layer for layer in network.mlp if isinstance(layer, nn.Linear)]
     sizes = ((INPUT, linear[0].in_features), (OUTPUT, linear[-1].out_features))
     ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size]) for name, size in sizes]
-    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], weights)
+    made = helper.make_graph(graph.nodes, "policy", ends[:1], ends[1:], graph.constants)
     opset = helper.make_opsetid("", OPSET)
-    return helper.make_model(graph, producer_name="arrive", opset_imports=[opset], ir_version=IR_VERSION)
+    return helper.make_model(made, producer_name="arrive", opset_imports=[opset], ir_version=IR_VERSION)
+
+
+def _layers(graph: _Graph, network: nn.Sequential, value: str) -> str:
+    """Gemm and Elu nodes."""
+    layers = [layer for layer in network if not isinstance(layer, nn.Identity)]
+    for i, layer in enumerate(layers):
+        if isinstance(layer, nn.Linear):
+            weights = graph.constant(f"w{i}", layer.weight), graph.constant(f"b{i}", layer.bias)
+            value = graph.node("Gemm", [value, *weights], f"h{i}", transB=1)
+        elif isinstance(layer, nn.ELU):
+            value = graph.node("Elu", [value], f"h{i}", alpha=float(layer.alpha))
+        else:
+            raise ArriveError(f"cannot export a network with a layer {type(layer).__name__}")
+    return value
+
+
+def _reflect_observation(graph: _Graph, facing: Facing) -> tuple[str, list[str]]:
+    """As `Facing.observation`; also the names of what says whether each reflection was needed."""
+    value, needed = INPUT, []
+    zero = graph.constant("zero", torch.zeros(1))
+    for row in range(len(facing.side)):
+        column = graph.node(
+            "Gather", [value, graph.constant(f"side{row}", facing.side[row : row + 1])], f"c{row}", axis=1
+        )
+        needed.append(graph.node("Less", [column, zero], f"needed{row}"))
+        maps = facing.observation_index[row], facing.observation_sign[row]
+        value = _reflect(graph, f"o{row}", value, maps, needed[-1])
+    return value, needed
+
+
+def _reflect_action(graph: _Graph, facing: Facing, value: str, needed: list[str]) -> str:
+    """As `Facing.action`."""
+    for row in reversed(range(len(needed))):
+        value = _reflect(graph, f"a{row}", value, (facing.action_index[row], facing.action_sign[row]), needed[row])
+    return value
+
+
+def _reflect(graph: _Graph, name: str, value: str, maps: tuple[Tensor, Tensor], needed: str) -> str:
+    index, sign = graph.constant(f"{name}_index", maps[0]), graph.constant(f"{name}_sign", maps[1])
+    moved = graph.node("Gather", [value, index], f"{name}_moved", axis=1)
+    reflected = graph.node("Mul", [moved, sign], f"{name}_reflected")
+    return graph.node("Where", [needed, reflected, value], name)
 
 
 def _golden(policy: Policy) -> dict[str, Any]:

@@ -98,11 +98,9 @@ def _attribute(value: Any, name: str) -> Any:
 
 
 def _goal(goal: Any) -> Goal | None:
-    """A goal of plain numbers, whatever subclass it was."""
+    """A goal of plain numbers, whatever subclass it was and however it was made."""
     for kind in GOALS:
         if issubclass(type(goal), kind):
-            if type(goal) is kind:
-                return goal
             return kind(**{field.name: _attribute(goal, field.name) for field in fields(kind)})
     return None
 

@@ -13,8 +13,8 @@ from arrive.deployment.command import JointCommand
 from arrive.deployment.goals import Goal
 from arrive.deployment.inputs import ARRAYS, GOALS, TIMES, Frame
 from arrive.deployment.policy_file import PolicyFile
-from arrive.deployment.writing import write_whole
 from arrive.errors import ArriveError
+from arrive.files import write_bytes
 
 KINDS = {kind.__name__: kind for kind in GOALS}
 
@@ -55,7 +55,7 @@ class ControlLog:
         })  # fmt: skip
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **content)
-        write_whole(Path(path), buffer.getvalue())
+        write_bytes(Path(path), buffer.getvalue())
 
     @classmethod
     def load(cls, path: Path | str) -> "ControlLog":

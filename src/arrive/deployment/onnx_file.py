@@ -20,13 +20,14 @@ PREFIX = "arrive."
 """Every metadata key begins with this; each value is JSON."""
 SEAL = "sha256"
 """The last metadata entry: the SHA-256 of all bytes before it."""
-OPERATORS = ("Gemm", "Elu")
+OPERATORS = ("Gemm", "Elu", "Gather", "Less", "Mul", "Where")
+"""Layers, and the reflections of a symmetric network. None of them makes more numbers than its inputs and weights."""
 LARGEST_FILE = 256 * 2**20
 """A policy file is some hundred kB; more than this is not read [bytes]."""
 
 VARINT, BYTES, FIXED32 = 0, 2, 5
-FLOAT32 = 1
-"""TensorProto.DataType.FLOAT."""
+NUMBER_TYPES = {1: np.dtype("<f4"), 7: np.dtype("<i8")}
+"""TensorProto.DataType: FLOAT for weights and INT64 for indices."""
 MODEL = {1: "ir_version", 2: "producer_name", 3: "producer_version", 4: "domain", 5: "model_version", 6: "doc_string",
          7: "graph", 8: "opset_import", 14: "metadata_props"}  # fmt: skip
 GRAPH = {1: "node", 2: "name", 5: "initializer", 10: "doc_string", 11: "input", 12: "output"}
@@ -57,7 +58,7 @@ class OnnxFile:
     metadata: dict[str, str]
     """Without the seal."""
     weights: dict[str, np.ndarray]
-    """float32, by name."""
+    """By name: float32, or int64 where they are indices."""
     digest: str
     """SHA-256 that seals the file, in hexadecimal."""
 
@@ -166,7 +167,7 @@ def _check_node(node: memoryview) -> None:
 
 
 def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
-    """Name and values of float32 weights, whose bytes must be there."""
+    """Name and values of weights or indices, whose bytes must be there."""
     dims, one = [], {}
     for name, value in _fields(tensor, TENSOR, "TensorProto"):
         if name == "dims":
@@ -177,11 +178,12 @@ def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
     label, data = bytes(one.get("name", b"")).decode(), one.get("raw_data")
     if one.get("data_location", 0) != 0:
         raise Damaged(f"the weights {label!r} are external data")
-    if one.get("data_type") != FLOAT32 or not isinstance(data, memoryview):
-        raise Damaged(f"the weights {label!r} are not 32-bit floating-point numbers")
-    if not all(dims) or len(data) != 4 * math.prod(dims):
+    kind = NUMBER_TYPES.get(one.get("data_type"))
+    if kind is None or not isinstance(data, memoryview):
+        raise Damaged(f"the weights {label!r} are neither 32-bit floating-point numbers nor 64-bit indices")
+    if not all(dims) or len(data) != kind.itemsize * math.prod(dims):
         raise Damaged(f"the weights {label!r} are declared as {dims}, their data have {len(data)} bytes")
-    array = np.frombuffer(data, dtype="<f4").reshape(dims)
+    array = np.frombuffer(data, dtype=kind).reshape(dims)
     if not np.isfinite(array).all():
         raise Damaged(f"the weights {label!r} are not finite")
     return label, array
