@@ -12,12 +12,12 @@ demo: $(STAMP)
 	$(BIN)/arrive eval runs/demo --episodes 1000
 
 test: $(STAMP) $(WARP)
-	$(BIN)/ruff check src tests benchmarks scripts
+	$(BIN)/ruff check src tests benchmarks scripts examples
 	$(BIN)/python -m pytest
 
 lint: $(STAMP)
-	$(BIN)/ruff check src tests benchmarks scripts
-	$(BIN)/ruff format --check src tests benchmarks scripts
+	$(BIN)/ruff check src tests benchmarks scripts examples
+	$(BIN)/ruff format --check src tests benchmarks scripts examples
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

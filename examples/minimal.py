@@ -1,0 +1,40 @@
+"""The least that runs a policy: one file, made-up measurements of a standing robot, one second of commands.
+
+    python examples/minimal.py robot.onnx
+
+Needs NumPy and onnxruntime alone, as on a robot's computer. A real loop is in `simulated_robot.py`.
+"""
+
+import sys
+
+import numpy as np
+
+from arrive.deployment import Controller, GridHeights, Joystick, Sensors
+
+
+def main(path: str) -> None:
+    controller = Controller.load(path)
+    policy, joints = controller.policy, len(controller.policy.robot.joint_names)
+    for step in range(round(1.0 / policy.period_s)):
+        now_s = step * policy.period_s
+        sensors = Sensors(
+            joint_pos=policy.robot.default_joint_pos_rad,
+            joint_vel=np.zeros(joints),
+            base_pos_w=(0.0, 0.0, policy.robot.standing_height_m),
+            base_quat_w=(1.0, 0.0, 0.0, 0.0),
+            base_lin_vel_b=np.zeros(3),
+            base_ang_vel_b=np.zeros(3),
+            time_s=now_s,
+        )
+        ground = GridHeights(np.zeros(len(policy.grid.points_m)), now_s)
+        command = controller.step(sensors, Joystick(forward=0.5, left=0.0), ground, now_s)
+        # Here the targets would go to the drives, together with policy.robot.stiffness and .damping.
+    for name, target in zip(policy.robot.joint_names, command.targets, strict=True):
+        print(f"{name}: {target:+.3f} rad")
+    print(f"mode: {command.mode} {command.reason}".rstrip())
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    main(sys.argv[1])

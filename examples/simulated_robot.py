@@ -1,0 +1,75 @@
+"""Send a simulated robot to a place with the loop that would run on a real one.
+
+    python examples/simulated_robot.py [POLICY] [--terrain stairs] [--level 2] [--fast]
+
+The clock, the state estimate and the height map are three functions: on a robot, put your own in their place. Sensors
+are noisy, the map is 0.1 s old and has holes. Without `--fast` the loop keeps to real time.
+"""
+
+import argparse
+import time
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from arrive.config import Config, from_dict
+from arrive.deployment import Controller, HeightMap, Sensors, Target
+from arrive.policies import open_policy
+from arrive.simulation import SimulatedRobot, make_tile
+
+DISTANCE_M, TIME_S, STAY_S = 3.0, 6.0, 2.0
+MAP_DELAY_STEPS, HOLES = 5, 0.05
+rng = np.random.default_rng(0)
+
+
+def state_estimate(robot: SimulatedRobot, now_s: float) -> Sensors:
+    """What joint encoders, an inertial measurement unit and odometry would say."""
+    exact = robot.sensors(now_s)
+    return replace(
+        exact,
+        joint_pos=exact.joint_pos + rng.normal(0.0, 0.005, exact.joint_pos.shape),
+        joint_vel=exact.joint_vel + rng.normal(0.0, 0.1, exact.joint_vel.shape),
+        base_lin_vel_b=exact.base_lin_vel_b + rng.normal(0.0, 0.05, 3),
+        base_ang_vel_b=exact.base_ang_vel_b + rng.normal(0.0, 0.05, 3),
+    )
+
+
+def height_map(robot: SimulatedRobot, now_s: float, recent: deque[HeightMap]) -> HeightMap:
+    """What a mapping node would have published: an older map, with cells that no camera saw."""
+    seen = robot.height_map(now_s)
+    holes = rng.random(seen.heights_w.shape) < HOLES
+    recent.append(replace(seen, heights_w=np.where(holes, np.nan, seen.heights_w)))
+    return recent[0]
+
+
+def main(arguments: list[str] | None = None) -> float:
+    """Returns the distance to the target at the end [m]."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("policy", nargs="?", help="run folder, exported file or name; the shipped one by default")
+    parser.add_argument("--terrain", default="flat")
+    parser.add_argument("--level", type=int, default=0)
+    parser.add_argument("--fast", action="store_true", help="as fast as the machine can")
+    options = parser.parse_args(arguments)
+    policy = open_policy(options.policy)
+    config = from_dict(Config, policy.meta["training"]["config"])
+    robot = SimulatedRobot(config, make_tile(options.terrain, options.level))
+    controller, recent = Controller(policy), deque(maxlen=MAP_DELAY_STEPS + 1)
+    goal = Target((DISTANCE_M, 0.0, policy.task.target_height_m), arrive_at_s=TIME_S)
+    steps, mode, start_s = round((TIME_S + STAY_S) / policy.period_s), "", time.monotonic()
+    for step in range(steps):
+        now_s = step * policy.period_s  # on a robot: time.monotonic(), the clock that also stamps the sensors
+        command = controller.step(state_estimate(robot, now_s), goal, height_map(robot, now_s, recent), now_s)
+        robot.step(command.targets)  # on a robot: send to the drives, with the gains in policy.robot
+        if command.mode != mode:
+            mode = command.mode
+            print(f"{now_s:5.2f} s  {mode}  {command.reason}".rstrip())
+        if not options.fast:
+            time.sleep(max(start_s + now_s + policy.period_s - time.monotonic(), 0.0))
+    distance = float(np.linalg.norm(robot.base_pos_w - goal.position_w))
+    print(f"{distance:.2f} m from the target after {steps * policy.period_s:.0f} s{', fallen' * robot.crashed}")
+    return distance
+
+
+if __name__ == "__main__":
+    main()
