@@ -48,7 +48,7 @@ class Joystick:
     left: float
     """-1 to 1, across it."""
     heading_rad: float | None = None
-    """Heading in the world that `forward` means, e.g. the operator's; None for the robot's own."""
+    """Heading in the world that `forward` means, e.g. the operator's; None for the robot's own [rad]."""
 
     def __post_init__(self):
         heading = None if self.heading_rad is None else number(self.heading_rad)

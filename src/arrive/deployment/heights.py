@@ -29,7 +29,7 @@ class HeightMap:
     origin_w: Any
     """(2,) world position of the outer corner of cell (0, 0) [m]."""
     resolution_m: float
-    """Edge of a cell."""
+    """Edge of a cell [m]."""
     heights_w: Any
     """(nx, ny) ground heights in the world frame, first index x, second y, NaN where nothing was seen [m]."""
     time_s: float

@@ -12,32 +12,32 @@ class Safety:
     """When to give up on the policy and what to do then."""
 
     sensors_age_s: float = 0.1
-    """Sensors older than this, or newer than now by as much, are stale: five control periods."""
+    """Sensors older than this, or newer than now by as much, are stale: five control periods [s]."""
     terrain_age_s: float = 1.0
-    """The same for heights; ground does not move."""
+    """The same for heights; ground does not move [s]."""
     least_seen: float = 0.25
     """Heights need at least this share of points that were seen or have a seen neighbour."""
     recover_s: float = 0.5
-    """The policy takes over again after inputs have been good for this long."""
+    """The policy takes over again after inputs have been good for this long [s]."""
     glide_rad_s: float = 0.5
-    """Largest speed at which the safe stance moves joint targets to the default pose."""
+    """Largest speed at which the safe stance moves joint targets to the default pose [rad/s]."""
     still_steps: int = 5
     """A clock that hardly moves for this many steps stands still."""
     tilt_rad: float = 1.3
-    """A base tilted by more than this has fallen. Policies on their hardest terrain walk with up to 1.13 rad."""
+    """A base tilted by more than this has fallen. Policies on their hardest terrain walk with up to 1.13 [rad]."""
     joint_margin_rad: float = 1.0
-    """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 rad."""
+    """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 [rad]."""
     joint_speed_share: float = 10.0
     """Joints cannot be faster than this many times their no-load speed; contacts drive simulated ones to 8 times."""
     base_speed_m_s: float = 10.0
-    """A base cannot be faster than this."""
+    """A base cannot be faster than this [m/s]."""
     base_rate_rad_s: float = 30.0
-    """A base cannot turn faster than this."""
+    """A base cannot turn faster than this [rad/s]."""
     jump: float = 0.2
     """Between two steps, positions change by no more than the largest speed allows and this [m or rad]."""
     ground_m: float = 3.0
     """A base that is this much higher or lower over the ground than when it stands is in another frame than the
-    heights, or in another unit."""
+    heights, or in another unit [m]."""
 
 
 DEFAULT = Safety()
