@@ -16,6 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import arrive.deployment
+from arrive.deployment.policy_file import PolicyFile, read_policy_file
+from arrive.deployment.terms import TERMS
+from arrive.policies import DEFAULT, shipped_file
 
 PAGE = Path(__file__).parent.parent / "docs" / "deployment-reference.md"
 HEAD = """# Reference of `arrive.deployment`
@@ -31,7 +34,20 @@ def page() -> str:
     parts = [HEAD]
     for name in arrive.deployment.__all__:
         parts.append(f"## `{name}`\n\n{describe(name, getattr(arrive.deployment, name))}")
+    parts.append(observation(read_policy_file(shipped_file(DEFAULT))))
     return "\n".join(parts)
+
+
+def observation(policy: PolicyFile) -> str:
+    """What the terms of a policy's observation are, and where they stand."""
+    rows = [
+        f"| {term.start}:{term.stop} | {term.name} | {TERMS[term.name].meaning} | {term.unit} | {term.frame} | "
+        f"{term.scale:g} |"
+        for term in policy.terms
+    ]
+    whose = f"Of the policy `{DEFAULT}` ({policy.robot.name}, task `{policy.task.name}`):"
+    head = f"## The network's observation\n\n{whose}\n\n| slice | name | meaning | unit | frame | scale |"
+    return "\n".join([head, "|---|---|---|---|---|---|", *rows, ""])
 
 
 def describe(name: str, thing: Any) -> str:

@@ -66,3 +66,9 @@ def test_what_the_script_makes_of_a_docstring(reference):
     assert reference.signature(example) == "(size: int, name: str = 'x') -> Path"
     text = "Do it.\n\n**Args**\n\n- `size`: of the thing,\n  in two lines [m].\n\n**Returns**\n\n- (n,) numbers.\n"
     assert reference.prose(example) == text + "\n**Raises**\n\n- `ValueError`: it cannot be done.\n"
+
+
+def test_every_limit_of_the_watchdog_is_in_the_guide(reference):
+    guide = (reference.PAGE.parent / "deployment.md").read_text()
+    for field in dataclasses.fields(arrive.deployment.Safety):
+        assert f"`{field.name}`" in guide, field.name
