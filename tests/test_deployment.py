@@ -657,6 +657,19 @@ def test_a_fallen_robot_is_not_moved(controller):
         )
 
 
+def test_a_clock_that_counts_milliseconds_is_noticed(controller):
+    step(controller, 0.0)
+    for i in range(1, 10):
+        command = step(controller, 20.0 * i)
+        assert (command.mode, "is it in seconds?" in command.reason) == ("safe", True)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 0.0, None, "1", True])
+def test_a_safety_that_is_no_limit_is_refused(value):
+    with pytest.raises(ArriveError, match=r"Safety\.recover_s must be a finite number above 0"):
+        Safety(recover_s=value)
+
+
 def test_a_policy_may_walk_at_any_tilt_below_the_stated_one(controller):
     for i in range(5):
         assert step(controller, i * DT, base_quat_w=np.array([math.cos(0.6), 0, math.sin(0.6), 0])).mode == "joystick"
@@ -740,6 +753,7 @@ def test_objects_that_raise_mean_the_safe_stance(controller):
         ),
         (lambda s, g, t: (s, t, g), "the argument goal is a GridHeights, which belongs to terrain"),
         (lambda s, g, t: (t, g, s), "the argument sensors is a GridHeights"),
+        (lambda s, g, t: (s, Target(5.0, (1.0, 0.0, 0.5)), t), "is the order position_w, arrive_at_s?"),
         (
             lambda s, g, t: (s, g, HeightMap(np.zeros((9, 9)), 0.1, (0, 0), 0.0)),
             "origin_w is of shape (9, 9), not",
@@ -1016,6 +1030,13 @@ def with_operator(operator, domain=""):
     return apply
 
 
+def with_node(operator, inputs, **attributes):
+    def apply(model, text):
+        model.graph.node.append(onnx.helper.make_node(operator, inputs, ["more"], **attributes))
+
+    return apply
+
+
 def weight(value):
     def apply(model, text):
         weights = numpy_helper.to_array(first_layer(model)).copy()
@@ -1048,6 +1069,11 @@ NETWORKS = {
     "foreign operator": (with_operator("Gemm", "com.example"), "foreign operator"),
     "foreign set": (lambda m, t: m.opset_import.append(onnx.helper.make_opsetid("com.example", 1)), "foreign"),
     "constant": (with_constant, "AttributeProto has a tensor"),
+    "product of constants": (with_node("Mul", ["w0", "w0"]), "works on constants"),
+    "spread constants": (with_node("Mul", ["observation", "w0"]), "'w0' have 2 dimensions"),
+    "rows of a matrix": (with_node("Gather", ["w0", "o0_index"], axis=1), "works on constants"),
+    "rows of the batch": (with_node("Gather", ["observation", "o0_index"], axis=0), "other attributes"),
+    "turned layer": (with_node("Gemm", ["observation", "w0"], transA=1), "other attributes"),
     "function": (lambda m, t: m.functions.add(), "functions of its own"),
     "NaN weight": (weight(np.nan), "not finite"),
     "infinite weight": (weight(np.inf), "not finite"),
@@ -1114,6 +1140,17 @@ def test_export_leaves_the_file_before_where_it_fails(run, tmp_path, monkeypatch
         log.save(out)
     assert out.read_bytes() == b"before"
     assert [path.name for path in tmp_path.iterdir()] == ["policy.onnx"]
+
+
+def test_labels_of_cells_may_be_rounded_but_not_moved(exported, tmp_path):
+    def rounded(terms):
+        terms[8]["labels"] = [f"({float(x):.1f}, {float(y):.1f})" for x, y in
+                              (label.strip("()").split(",") for label in terms[8]["labels"])]  # fmt: skip
+
+    verify(changed(exported, tmp_path, edit("observation", rounded), sealed=True))
+    moved = put("observation", 8, "labels", 3, "(5.0, 5.0)")
+    with pytest.raises(ArriveError, match=r"observation\[8\].labels\[3\] is '\(5.0, 5.0\)' there"):
+        verify(changed(exported, tmp_path, moved, sealed=True))
 
 
 def test_export_refuses_a_network_that_is_broken(run, tmp_path):

@@ -99,7 +99,7 @@ class ArriveEnv(VecEnv):
         self._below_trunk = (self._grid.abs() <= half_trunk).all(-1).nonzero().squeeze(-1)
         self._trunk_grid = self._grid[self._below_trunk]
         sensing = config.observation
-        self.observer = Observer(task.observation_terms(robot), sensing.noise, self.device, sensing.noise_least)
+        self.observer = Observer(task.observation_terms(config, robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
         self._down = torch.tensor([0.0, 0.0, -1.0], device=self.device).expand(self.num_envs, 3)
         dealt = deal_families(self.num_envs, config.terrain).to(self.device)

@@ -293,4 +293,7 @@ class Navigator:
 
 def _check_finite(what: str, point: tuple[float, ...], size: int, *others: float) -> None:
     if len(point) != size or not all(math.isfinite(x) for x in (*point, *others)):
-        raise BadInput(f"the {what} is not {size} finite numbers" + (" and a finite time" if others else ""))
+        wanted = f"{size} finite numbers" + (" and a finite time" if others else "")
+        raise BadInput(
+            f"the {what} is not {wanted}: is the order {'position_w, arrive_at_s' if others else 'x, y, z'}?"
+        )

@@ -21,7 +21,7 @@ PREFIX = "arrive."
 SEAL = "sha256"
 """The last metadata entry: the SHA-256 of all bytes before it."""
 OPERATORS = ("Gemm", "Elu", "Gather", "Less", "Mul", "Where")
-"""Layers, and the reflections of a symmetric network. None of them makes more numbers than its inputs and weights."""
+"""Layers, and the reflections of a symmetric network."""
 LARGEST_FILE = 256 * 2**20
 """A policy file is some hundred kB; more than this is not read [bytes]."""
 
@@ -33,6 +33,7 @@ MODEL = {1: "ir_version", 2: "producer_name", 3: "producer_version", 4: "domain"
 GRAPH = {1: "node", 2: "name", 5: "initializer", 10: "doc_string", 11: "input", 12: "output"}
 NODE = {1: "input", 2: "output", 3: "name", 4: "op_type", 5: "attribute", 6: "doc_string", 7: "domain"}
 ATTRIBUTE = {1: "name", 2: "f", 3: "i", 20: "type"}
+ATTRIBUTES = {"Gemm": {"transB"}, "Elu": {"alpha"}, "Gather": {"axis"}}
 TENSOR = {1: "dims", 2: "data_type", 8: "name", 9: "raw_data", 14: "data_location"}
 OPSET = {1: "domain", 2: "version"}
 ENTRY = {1: "key", 2: "value"}
@@ -141,29 +142,51 @@ def _read_model(body: memoryview) -> tuple[dict[str, str], dict[str, np.ndarray]
 
 def _read_graph(graph: memoryview) -> dict[str, np.ndarray]:
     """Its weights; the nodes are only checked."""
-    weights = {}
+    weights, nodes = {}, []
     for name, value in _fields(graph, GRAPH, "GraphProto"):
         if name == "node":
-            _check_node(value)
+            nodes.append(_read_node(value))
         elif name == "initializer":
             label, array = _read_tensor(value)
             if label in weights:
                 raise Damaged(f"it has two weights {label!r}")
             weights[label] = array
+    for operator, inputs in nodes:
+        _check_growth(operator, inputs, weights)
     return weights
 
 
-def _check_node(node: memoryview) -> None:
-    operator = None
+def _read_node(node: memoryview) -> tuple[str, list[str]]:
+    """Operator and inputs of a node."""
+    operator, inputs, attributes = "", [], {}
     for name, value in _fields(node, NODE, "NodeProto"):
         if name == "op_type":
             operator = bytes(value).decode()
+        elif name == "input":
+            inputs.append(bytes(value).decode())
         elif name == "domain" and value:
             raise Damaged("it has a foreign operator")
         elif name == "attribute":
-            _one(value, ATTRIBUTE, "AttributeProto")
+            attribute = _one(value, ATTRIBUTE, "AttributeProto")
+            attributes[bytes(attribute.get("name", b"")).decode()] = attribute.get("i")
     if operator not in OPERATORS:
-        raise Damaged(f"it has the operator {operator!r}, policies have {' and '.join(OPERATORS)}")
+        raise Damaged(f"it has the operator {operator!r}, policies have {', '.join(OPERATORS)}")
+    if not attributes.keys() <= ATTRIBUTES.get(operator, set()) or (operator == "Gather" and attributes != {"axis": 1}):
+        raise Damaged(f"its operator {operator} has other attributes than those of a policy")
+    return operator, inputs
+
+
+def _check_growth(operator: str, inputs: list[str], weights: dict[str, np.ndarray]) -> None:
+    """Refuse what could make more numbers than the file has weights.
+
+    Every value begins with the batch, so that nothing is spread over two sizes from the file: matrices are weights of
+    layers, and no node works on constants alone.
+    """
+    if not inputs or all(name in weights for name in inputs) or (operator == "Gather" and inputs[0] in weights):
+        raise Damaged(f"its operator {operator} works on constants")
+    for place, name in enumerate(inputs):
+        if name in weights and weights[name].ndim != (2 if (operator, place) == ("Gemm", 1) else 1):
+            raise Damaged(f"the weights {name!r} have {weights[name].ndim} dimensions")
 
 
 def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:

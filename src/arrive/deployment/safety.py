@@ -1,10 +1,12 @@
 """The limits of what the controller believes, and the limits that no command leaves."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from arrive.deployment.specs import RobotSpec
+from arrive.errors import ArriveError
 
 
 @dataclass(frozen=True)
@@ -15,6 +17,8 @@ class Safety:
     """Sensors older than this, or newer than now by as much, are stale: five control periods [s]."""
     terrain_age_s: float = 1.0
     """The same for heights; ground does not move [s]."""
+    gap_s: float = 0.5
+    """Steps farther apart than this are no control loop, or their clock does not count seconds [s]."""
     least_seen: float = 0.25
     """Heights need at least this share of points that were seen or have a seen neighbour."""
     recover_s: float = 0.5
@@ -24,9 +28,9 @@ class Safety:
     still_steps: int = 5
     """A clock that hardly moves for this many steps stands still."""
     tilt_rad: float = 1.3
-    """A base tilted by more than this has fallen. Policies on their hardest terrain walk with up to 1.13 [rad]."""
+    """A base tilted by more than this has fallen. Policies on their hardest terrain walk with up to 1.13 rad [rad]."""
     joint_margin_rad: float = 1.0
-    """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 [rad]."""
+    """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 rad [rad]."""
     joint_speed_share: float = 10.0
     """Joints cannot be faster than this many times their no-load speed; contacts drive simulated ones to 8 times."""
     base_speed_m_s: float = 10.0
@@ -38,6 +42,17 @@ class Safety:
     ground_m: float = 3.0
     """A base that is this much higher or lower over the ground than when it stands is in another frame than the
     heights, or in another unit [m]."""
+
+    def __post_init__(self):
+        """Refuse what is no limit.
+
+        Raises:
+            ArriveError: a value that is not a finite number above 0.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
+                raise ArriveError(f"Safety.{field.name} must be a finite number above 0, not {value!r}")
 
 
 DEFAULT = Safety()

@@ -88,6 +88,8 @@ class Watchdog:
             return
         if frame.now_s < self._now_s:
             raise BadInput("the clock went back")
+        if not frame.now_s - self._now_s <= self._safety.gap_s:
+            raise BadInput(f"the clock went on by {frame.now_s - self._now_s:.3g} in one step: is it in seconds?")
         self._still = self._still + 1 if frame.now_s - self._now_s < self._least_tick else 0
         if self._still >= self._safety.still_steps:
             raise BadInput(f"the clock stands still at {frame.now_s:.6g} s")
@@ -100,7 +102,7 @@ class Watchdog:
         for name, size in self._sizes.items():
             value = getattr(frame, name)
             if value.shape != (size,):
-                raise BadInput(f"{name} is not {size} numbers")
+                raise BadInput(f"{name} is not {size} numbers but an array of the shape {value.shape}")
             if not np.isfinite(value).all():
                 raise BadInput(f"{name} is not finite")
         if not abs(float(frame.base_quat_w @ frame.base_quat_w) - 1.0) <= 0.1:

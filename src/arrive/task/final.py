@@ -37,7 +37,6 @@ class FinalPositionTask:
         """Build the task with no commands yet."""
         self._config = config.task
         self._dt = config.physics.control_dt
-        self._observation = config.observation
         self._rasters = rasters
         self._generator = generator
         self._trial = trial
@@ -66,8 +65,9 @@ class FinalPositionTask:
     def destination_w(self) -> Tensor:
         return self._command.target_w
 
-    def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
-        return observation_terms(robot, self._observation, self._config.episode_s)
+    @staticmethod
+    def observation_terms(config: Config, robot: Robot) -> tuple[ObservationTerm, ...]:
+        return observation_terms(robot, config.observation, config.task.episode_s)
 
     def new_command(self, start: Start, first: bool) -> None:
         config, ids = self._config, start.env_ids

@@ -75,7 +75,8 @@ class Task(Protocol):
     def episode_s(self) -> float:
         """The longest episode [s]."""
 
-    def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
+    @staticmethod
+    def observation_terms(config: Config, robot: Robot) -> tuple[ObservationTerm, ...]:
         """The policy's observation."""
 
     def new_command(self, start: Start, first: bool) -> None:

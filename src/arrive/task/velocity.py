@@ -120,7 +120,7 @@ class VelocityTask:
 
     def __init__(self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None):
         """Build the task with no commands yet."""
-        self._config, self._observation, self._trial = config.task, config.observation, trial
+        self._config, self._trial = config.task, trial
         self._generator = generator
         n, device = config.num_envs, rasters.heights.device
         self._command = VelocityCommand(
@@ -166,14 +166,15 @@ class VelocityTask:
         direction = torch.stack([command.heading.cos(), command.heading.sin(), torch.zeros_like(way)], dim=-1)
         return command.start_w + way.unsqueeze(-1) * direction
 
-    def observation_terms(self, robot: Robot) -> tuple[ObservationTerm, ...]:
+    @staticmethod
+    def observation_terms(config: Config, robot: Robot) -> tuple[ObservationTerm, ...]:
         command = (
             ObservationTerm("speed_command", "m/s", "base", ("x",), 2.0, 0.0, ((0, 1.0),), ((0, -1.0),),
                             lambda s, c: c.speed.unsqueeze(-1)),
             ObservationTerm("yaw_rate_command", "rad/s", "base", ("z",), 0.25, 0.0, ((0, -1.0),), ((0, -1.0),),
                             lambda s, c: yaw_rate(s, c).unsqueeze(-1)),
         )  # fmt: skip
-        return around_command(robot, self._observation, command)
+        return around_command(robot, config.observation, command)
 
     def new_command(self, start: Start, first: bool) -> None:
         command, ids = self._command, start.env_ids
