@@ -981,6 +981,7 @@ HOSTILE = {
     "reversed distances": (put("task", "target_distance_m", [5.0, 1.0]), "task.target_distance_m"),
     "text for a radius": (put("task", "arrival_radius_m", "0.5"), "task.arrival_radius_m"),
     "zero observation scale": (put("observation", 4, "scale", 0.0), "scale of observation 'time_left'"),
+    "half a number": (put("observation", 0, "stop", 3.0), "slice of observation"),
     "negative slice": (put("observation", 0, "stop", -3), "slice of observation"),
     "two of a name": (put("observation", 0, "name", "base_ang_vel"), "same name"),
     "zero grid step": (put("heights", "step_m", 0.0), "heights.step_m"),

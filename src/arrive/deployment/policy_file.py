@@ -117,7 +117,8 @@ def _check_terms(file: PolicyFile) -> None:
         raise Implausible("two observations have the same name")
     end = 0
     for term in file.terms:
-        if term.start != end or term.stop <= end or term.stop - term.start != len(term.labels):
+        whole = type(term.start) is int and type(term.stop) is int
+        if not whole or not term.start == end < term.stop or term.stop - term.start != len(term.labels):
             raise Implausible(f"the slice of observation {term.name!r} does not follow the one before")
         positive(f"the scale of observation {term.name!r}", term.scale)
         end = term.stop
