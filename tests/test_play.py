@@ -491,13 +491,13 @@ def test_shipped_policies_have_names_and_files():
 
 
 def test_the_default_policy_is_what_the_results_hold(tmp_path):
-    weights = open_policy().meta["weights"]
-    assert open_policy(DEFAULT).meta["weights"] == weights
-    assert open_policy(str(RUN)).meta["weights"] == weights
-    assert open_policy(f"{RUN}/policy.pt").meta["weights"] == weights
+    golden = open_policy().meta["golden"]
+    assert open_policy(DEFAULT).meta["golden"] == golden
+    assert open_policy(str(RUN)).meta["golden"] == golden
+    assert open_policy(f"{RUN}/policy.pt").meta["golden"] == golden
     copy = tmp_path / "copy.onnx"
     copy.write_bytes(shipped_file(DEFAULT).read_bytes())
-    assert open_policy(str(copy)).meta["weights"] == read_policy_file(copy).meta["weights"] == weights
+    assert open_policy(str(copy)).meta["golden"] == read_policy_file(copy).meta["golden"] == golden
 
 
 def test_an_unknown_policy_names_the_shipped_ones():
@@ -509,7 +509,7 @@ def test_run_folders_of_the_checkout_have_names(capsys, monkeypatch):
     other = RUN.parents[1] / "results" / "flat-1"
     monkeypatch.setattr(policies, "TRAINED", other.parent)
     assert policies.find_run(Path(other.name)) == other
-    assert open_policy(other.name).meta["weights"] == open_policy(str(other)).meta["weights"]
+    assert open_policy(other.name).digest == open_policy(str(other)).digest
     assert load_policy(Path(other.name)).path == other / "policy.pt"
     # A path that exists, or that is more than a name, is taken as it is.
     assert policies.find_run(other) == other
