@@ -17,8 +17,8 @@ from arrive.errors import ArriveError
 from arrive.evaluation.records import DIFFICULTY_NAME
 from arrive.files import whole
 from arrive.learning.checkpoint import check_schema
-from arrive.learning.policy import Policy
 from arrive.learning.networks import Facing, Network
+from arrive.learning.policy import Policy
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.heights import HeightGrid
