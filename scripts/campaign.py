@@ -26,11 +26,12 @@ import tyro
 
 from arrive.config import Config
 from arrive.errors import ArriveError, unknown_name
-from arrive.evaluation.records import DIFFICULTY_NAME, Run, read_run
-from arrive.evaluation.table import LIMITS, make_table
+from arrive.evaluation.difficulty import DIFFICULTY_NAME
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.recipe import make_config
+from arrive.report.records import Run, read_run
+from arrive.report.table import LIMITS, make_table
 from arrive.terrain import parse_families
 
 ROOT = Path(__file__).resolve().parent.parent

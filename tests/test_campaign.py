@@ -18,9 +18,9 @@ import torch
 
 from arrive.cli import main
 from arrive.errors import ArriveError
-from arrive.evaluation.records import read_run
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import LOG_NAME, read_log
+from arrive.report.records import read_run
 
 ROOT = Path(__file__).parent.parent
 SPEC = importlib.util.spec_from_file_location("campaign", ROOT / "scripts" / "campaign.py")

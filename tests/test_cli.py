@@ -10,8 +10,8 @@ import torch
 from PIL import Image
 
 from arrive import cli
-from arrive.evaluation import graphics, pictures
 from arrive.presets import PRESETS
+from arrive.render import graphics, pictures
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
 from arrive.task.rewards import REWARDS

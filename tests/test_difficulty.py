@@ -15,14 +15,15 @@ from arrive.cli import main
 from arrive.commands import evaluation
 from arrive.config import Config, TaskConfig, TerrainConfig, override
 from arrive.errors import ArriveError
-from arrive.evaluation import charts, difficulty
+from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import Cell, CellResult
-from arrive.evaluation.diagnosis import why_stuck
 from arrive.evaluation.playing import Played, play
-from arrive.evaluation.records import Run
-from arrive.evaluation.table import PAPER, make_relations
 from arrive.learning.policy import load_policy
 from arrive.presets import PAPER_REWARDS, get_preset
+from arrive.report import charts
+from arrive.report.diagnosis import why_stuck
+from arrive.report.records import Run
+from arrive.report.table import PAPER, make_relations
 from arrive.task.feet import follow_feet
 from arrive.task.registry import TASKS, get_task
 from arrive.task.rewards import MOTION_COSTS

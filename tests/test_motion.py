@@ -12,12 +12,12 @@ from arrive.cli import main
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
-from arrive.evaluation.card import write_card
 from arrive.evaluation.legs import LegCrossing
 from arrive.evaluation.motion import UNITS, MotionMeter, summary
 from arrive.evaluation.playing import play
-from arrive.evaluation.records import read_run
 from arrive.presets import PAPER_REWARDS
+from arrive.report.card import write_card
+from arrive.report.records import read_run
 
 CALM = RandomisationConfig(
     friction=(1.0, 1.0), payload_kg=(0.0, 0.0), push_speed=0.0, start_offset=0.0, start_speed=0.0, start_joint_scale=0.0

@@ -18,12 +18,12 @@ from PIL import Image
 from rich.console import Console
 
 from arrive.errors import ArriveError
-from arrive.evaluation import graphics, pictures
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay, level_bars, panel, plain_line
 from arrive.learning.logs import RunLog, read_log
 from arrive.learning.report import FamilyReport, IterationReport
+from arrive.render import graphics, pictures
 
 
 def make_report(iteration: int, **changes) -> IterationReport:
@@ -301,7 +301,7 @@ def test_without_the_bindings_of_opengl_the_error_is_the_same():
     code = """
 import sys
 sys.modules["OpenGL"] = None
-from arrive.evaluation import graphics
+from arrive.render import graphics
 graphics.graphics_backend = lambda: "egl"
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco/>")

@@ -14,7 +14,7 @@ from arrive.config import Config, from_dict, to_dict
 from arrive.deployment.onnx_file import PREFIX, seal
 from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
 from arrive.errors import ArriveError
-from arrive.evaluation.records import DIFFICULTY_NAME
+from arrive.evaluation.difficulty import DIFFICULTY_NAME
 from arrive.files import whole
 from arrive.learning.checkpoint import check_schema
 from arrive.learning.networks import Facing, Network

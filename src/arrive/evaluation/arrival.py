@@ -13,7 +13,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, RandomisationConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
-from arrive.evaluation.pictures import Episode
+from arrive.evaluation.episode import Episode
 from arrive.evaluation.playing import Pilot, Played, Progress, episode, play
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy

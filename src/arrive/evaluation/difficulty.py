@@ -7,7 +7,7 @@ from typing import Any
 from arrive.config import RandomisationConfig, to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, evaluate
-from arrive.evaluation.pictures import Episode
+from arrive.evaluation.episode import Episode
 from arrive.evaluation.playing import Progress
 from arrive.evaluation.usage import usage_of
 from arrive.learning.policy import Policy
@@ -32,6 +32,8 @@ VARIANTS = 50
 SHARES = (0.95, 0.80, 0.50)
 """Success rates for which the largest solved parameter is given; the paper's is the first."""
 NAME = "difficulty"
+DIFFICULTY_NAME = "difficulty.json"
+"""File of a measurement beside the policy."""
 
 
 def _range(first: float, last: float, step: float) -> tuple[float, ...]:

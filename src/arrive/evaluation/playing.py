@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from arrive.env import POLICY, ArriveEnv
+from arrive.evaluation.episode import Episode
 from arrive.evaluation.motion import MotionMeter
-from arrive.evaluation.pictures import Episode
 from arrive.physics.world import compile_world
 
 Progress = Callable[[int, int], None]

@@ -7,8 +7,8 @@ from arrive.errors import ArriveError
 from arrive.evaluation.arrival import CellResult
 from arrive.evaluation.difficulty import SHARES
 from arrive.evaluation.motion import UNITS
-from arrive.evaluation.records import DIFFICULTY_PICTURES, Run
 from arrive.learning.curves import CURVES_NAME
+from arrive.report.records import DIFFICULTY_PICTURES, Run
 
 CARD_NAME = "card.md"
 

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from arrive.evaluation.records import Run
-from arrive.evaluation.table import PAPER
+from arrive.report.records import Run
+from arrive.report.table import PAPER
 from arrive.terrain import get_family
 
 COLORS = {"velocity": "#d55e00", "continuous": "#009e73", "final": "#0072b2"}

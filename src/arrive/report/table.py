@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
-from arrive.evaluation.records import SYMBOLS, Run
+from arrive.report.records import SYMBOLS, Run
 from arrive.terrain import FAMILIES
 
 PAPER: dict[str, dict[str, float | None]] = {

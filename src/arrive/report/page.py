@@ -8,9 +8,9 @@ from typing import Any
 
 from PIL import Image
 
-from arrive.evaluation.charts import color_of, difficulty_chart, speed_chart, training_chart
-from arrive.evaluation.diagnosis import why_stuck
-from arrive.evaluation.records import SYMBOLS, Run
+from arrive.report.charts import color_of, difficulty_chart, speed_chart, training_chart
+from arrive.report.diagnosis import why_stuck
+from arrive.report.records import SYMBOLS, Run
 
 TASK_NAMES = {
     "velocity": "velocity tracking",

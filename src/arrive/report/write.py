@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from arrive.errors import ArriveError
-from arrive.evaluation.page import make_page
-from arrive.evaluation.records import Run, read_run
-from arrive.evaluation.table import make_relations, make_table
 from arrive.learning.rundir import commit
+from arrive.report.page import make_page
+from arrive.report.records import Run, read_run
+from arrive.report.table import make_relations, make_table
 
 
 def write_report(folders: Sequence[Path], out: Path) -> tuple[Path, Path]:

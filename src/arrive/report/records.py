@@ -7,11 +7,11 @@ from typing import Any
 
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult
+from arrive.evaluation.difficulty import DIFFICULTY_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import read_config, samples_before
 from arrive.terrain import get_family
 
-DIFFICULTY_NAME = "difficulty.json"
 DIFFICULTY_PICTURES = "pictures/difficulty"
 """Folder of a strip per family, under the run's."""
 SYMBOLS = {"velocity": "V", "continuous": "P_c", "final": "P_f"}

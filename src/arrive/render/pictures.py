@@ -4,8 +4,6 @@ import copy
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -13,7 +11,8 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from arrive.evaluation.graphics import open_renderer
+from arrive.evaluation.episode import Episode
+from arrive.render.graphics import open_renderer
 
 FRAME_SIZE = (400, 320)
 """Width and height of one frame of a strip [pixels]."""
@@ -27,37 +26,6 @@ MARGIN = 0.7
 SKY = (0.80, 0.87, 0.94)
 TARGET_COLOR = (0.10, 0.75, 0.25)
 PATH_COLOR = (0.95, 0.45, 0.05)
-
-
-@dataclass(frozen=True, eq=False)
-class Episode:
-    """What a robot did in one episode, ready to be drawn; the model's first joint is the robot's free joint."""
-
-    model: mujoco.MjModel
-    qpos: np.ndarray
-    """(steps, nq) positions after each policy step, the first at time 0 [m, rad, quaternions]."""
-    target_w: tuple[float, float, float]
-    """The place to reach [m]."""
-    control_dt: float
-    """Time between two rows of `qpos` [s]."""
-    outcome: str
-    """How the episode ended, such as "arrived"."""
-    caption: str
-
-    @cached_property
-    def ground_path_w(self) -> np.ndarray:
-        """(steps + 1, 3) the ground below the base at every step and, last, below the target [m]."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self.qpos[0]
-        data.qpos[2] += 1000.0  # the robot itself must not stop the rays
-        mujoco.mj_kinematics(self.model, data)
-        points = np.vstack([self.qpos[:, :3], self.target_w]).astype(float)
-        heights = [_ground_height(self.model, data, point) for point in points]
-        return np.column_stack([points[:, :2], heights])
-
-    def index_at(self, time_s: float) -> int:
-        """The row of `qpos` nearest to a time [s]."""
-        return min(round(time_s / self.control_dt), len(self.qpos) - 1)
 
 
 def picture_strip(episode: Episode, path: Path, frames: int = 6) -> None:
@@ -238,11 +206,3 @@ def _add_geom(
     mujoco.mjv_initGeom(geom, kind, np.array(size, float), np.array(position, float), frame.ravel(), np.float32(rgba))
     geom.emission = emission
     scene.ngeom += 1
-
-
-def _ground_height(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray) -> float:
-    """Height of the terrain (visible geoms of group 0) below a point, or the point's own where there is none [m]."""
-    start = point + np.array([0.0, 0.0, 0.3])
-    groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-    distance = mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), groups, 1, -1, np.zeros(1, np.int32))
-    return start[2] - distance if distance >= 0 else point[2]
