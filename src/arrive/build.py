@@ -13,7 +13,7 @@ from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
-from arrive.task.task import Trial
+from arrive.task.task import Cruise, Trial
 from arrive.terrain import Layout, get_family
 from arrive.terrain.pool import build_pool, level_values
 from arrive.validate import validate
@@ -28,8 +28,8 @@ class Placement:
     """Parameters of each family's levels; None for the curriculum's."""
     seed_offset: int = 0
     """Added to the configuration's seed for terrain, friction and payload."""
-    trial: Trial | None = None
-    """The errand of every robot; None to draw commands."""
+    trial: Trial | Cruise | None = None
+    """The errand or the constant command of every robot; None to draw commands."""
     assignment: tuple[Tensor, Tensor] | None = None
     """Family and level of each environment, fixed; None for the curriculum."""
 

@@ -93,6 +93,57 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Energy:
+    """Measure what walking costs at speeds that policies are told (the paper's figure 5)."""
+
+    policy: tyro.conf.Positional[Path]
+    """Run folder, policy file or name of a trained policy, see `arrive list`."""
+    others: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of them, to be compared."""
+    speeds: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.75)
+    """Speeds that robots are told, each walked at [m/s]."""
+    distance: float = 100.0
+    """How far every robot walks [m]."""
+    robots: int = 50
+    """Robots per speed."""
+    seed: int = 1
+    """Seed of friction, payload, starts and noise."""
+    threads: int = 0
+    """CPU threads; 0 takes every CPU."""
+    json: Path = Path("energy.json")
+    """File for the result; the picture has the same name and ends in .png."""
+    force: bool = False
+    """Replace the result of a longer measurement."""
+
+
+@dataclass(frozen=True)
+class Gait:
+    """Measure how policies step: footfalls, duty factors, strides, phases, and the gait's name (paper, figure 6)."""
+
+    policy: tyro.conf.Positional[Path]
+    """Run folder, policy file or name of a trained policy, see `arrive list`."""
+    others: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of them, to be compared."""
+    speeds: tuple[float, ...] = (0.5, 1.0)
+    """Speeds that robots are told [m/s]."""
+    directions: tuple[float, ...] = (0.0,)
+    """Directions in which they are sent, relative to the heading at the start, counterclockwise; policies that follow a
+    velocity know 0 and 180 [deg]."""
+    seconds: float = 10.0
+    """How long they are looked at, after 5 s of walking [s]."""
+    robots: int = 20
+    """Robots per speed and direction."""
+    seed: int = 1
+    """Seed of friction, payload, starts and noise."""
+    threads: int = 0
+    """CPU threads; 0 takes every CPU."""
+    json: Path = Path("gait.json")
+    """File for the result; the picture has the same name and ends in .png."""
+    force: bool = False
+    """Replace the result of a longer measurement."""
+
+
+@dataclass(frozen=True)
 class Drive:
     """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
 
@@ -192,6 +243,8 @@ Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Energy, tyro.conf.subcommand("energy")]
+    | Annotated[Gait, tyro.conf.subcommand("gait")]
     | Annotated[Drive, tyro.conf.subcommand("drive")]
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Export, tyro.conf.subcommand("export")]
@@ -238,6 +291,8 @@ def _run(command: Command) -> None:
         Train: ("training", "train"),
         Eval: ("evaluation", "evaluate"),
         Report: ("evaluation", "report"),
+        Energy: ("energy", "energy"),
+        Gait: ("gait", "gait"),
         Drive: ("drive", "run_drive"),
         Play: ("play", "run_play"),
         Export: ("export", "export"),

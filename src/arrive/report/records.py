@@ -40,8 +40,7 @@ class Run:
     @property
     def label(self) -> str:
         """The paper's symbol of the task and the run's name, for charts."""
-        symbol = f"${SYMBOLS[self.task]}$" if self.task in SYMBOLS else self.task
-        return f"{symbol} ({self.name})"
+        return label_of(self.task, self.name)
 
     @property
     def samples(self) -> int:
@@ -65,6 +64,30 @@ class Run:
         """What was measured, by family; empty where nothing was."""
         families = self.difficulty["families"] if self.difficulty else {}
         return {name: _results(name, entry) for name, entry in families.items()}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One policy in a result of `arrive energy` or `arrive gait`."""
+
+    name: str
+    task: str
+    content: dict[str, Any]
+
+    @staticmethod
+    def of(content: dict[str, Any]) -> list["Measured"]:
+        """All policies of a result."""
+        return [Measured(policy["name"], policy["task"], policy) for policy in content["policies"]]
+
+    @property
+    def label(self) -> str:
+        """The paper's symbol of the task and the policy's name, for charts."""
+        return label_of(self.task, self.name)
+
+
+def label_of(task: str, name: str) -> str:
+    """The paper's symbol of a task and a policy's name, for charts."""
+    return f"{f'${SYMBOLS[task]}$' if task in SYMBOLS else task} ({name})"
 
 
 def _results(name: str, entry: dict[str, Any]) -> list[CellResult]:

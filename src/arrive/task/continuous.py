@@ -7,14 +7,16 @@ import torch
 from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.task.final import FinalPositionTask
-from arrive.task.task import Trial
+from arrive.task.task import Cruise, Trial
 from arrive.terrain.pool import Rasters
 
 
 class ContinuousPositionTask(FinalPositionTask):
     """Position targets whose reward is paid at every step: T_r = T, and nothing else differs from `final`."""
 
-    def __init__(self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None):
+    def __init__(
+        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | Cruise | None = None
+    ):
         """Build the task with no commands yet.
 
         Raises:

@@ -10,7 +10,7 @@ from arrive.task.observations import ObservationTerm, observation_terms
 from arrive.task.rewards import REWARDS, STALL_SPEED, RewardFunction, distance_to_target, task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
-from arrive.task.task import Outcome, Start, Trial
+from arrive.task.task import Cruise, Outcome, Start, Trial
 from arrive.terrain.pool import Rasters
 
 OBSTACLE_HEIGHT = 0.6
@@ -32,7 +32,7 @@ class FinalPositionTask:
         config: Config,
         rasters: Rasters,
         generator: torch.Generator,
-        trial: Trial | None = None,
+        trial: Trial | Cruise | None = None,
     ):
         """Build the task with no commands yet."""
         self._config = config.task
@@ -78,7 +78,10 @@ class FinalPositionTask:
         command.target_w[ids] = targets
         command.start_distance[ids] = (targets - start.base_pos_w).norm(dim=-1)
         draw = torch.rand(len(ids), generator=self._generator, device=targets.device)
-        if self._trial is not None:
+        if isinstance(self._trial, Cruise):
+            command.time_left_s[ids] = self._trial.time_left_s[ids]
+            command.counts[ids] = False
+        elif self._trial is not None:
             command.time_left_s[ids] = self._trial.duration_s
             command.counts[ids] = crossing
         elif first:
@@ -94,7 +97,10 @@ class FinalPositionTask:
     def _targets(self, start: Start) -> Tensor:
         if self._trial is None:
             return sample_targets(self._rasters, start.tile_ids, start.base_pos_w, self._config, self._generator)
-        point = torch.tensor(self._trial.target, device=start.base_pos_w.device).expand(len(start.env_ids), 2)
+        if isinstance(self._trial, Cruise):
+            point = start.base_pos_w[:, :2] + self._trial.offset_w[start.env_ids]
+        else:
+            point = torch.tensor(self._trial.target, device=start.base_pos_w.device).expand(len(start.env_ids), 2)
         ground = look_up(self._rasters.heights, start.tile_ids, point.unsqueeze(1))
         return torch.cat([point, ground + self._config.target_height], dim=-1)
 
@@ -103,6 +109,9 @@ class FinalPositionTask:
 
         Where it lies beyond the terrain that the robot has already crossed it does not count for the curriculum.
         """
+        if isinstance(self._trial, Cruise):
+            everyone = torch.arange(len(self._tile_ids), device=self._tile_ids.device)
+            self._command.target_w = self._targets(Start(everyone, state.base_pos_w, self._tile_ids))
         if self._trial is not None or self._config.retarget_s <= 0.0:
             return
         draw = torch.rand(len(self._tile_ids), generator=self._generator, device=self._tile_ids.device)
@@ -125,6 +134,8 @@ class FinalPositionTask:
         self._command.counts[ids] = False
 
     def advance(self, dt: float) -> Tensor:
+        if isinstance(self._trial, Cruise):
+            return torch.zeros_like(self._command.counts)
         self._command.time_left_s -= dt
         return self._command.time_left_s < dt / 2
 

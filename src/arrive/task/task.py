@@ -55,6 +55,26 @@ class Trial:
     """How far along the x axis these must get [m]."""
 
 
+@dataclass(frozen=True)
+class Cruise:
+    """A constant command for every robot that never ends, instead of commands that are drawn; each task reads its own.
+
+    Robots that are sent to places follow a target that keeps its distance, with a remaining time that does not run (the
+    paper's pseudo velocity control, section Energy Consumption).
+    """
+
+    duration_s: float
+    """Longest walk that is looked at; the task itself ends none [s]."""
+    offset_w: Tensor
+    """(num_envs, 2) where the target stays, seen from the robot, along the world's axes [m]."""
+    time_left_s: Tensor
+    """(num_envs,) remaining time that robots are told [s]."""
+    speed: Tensor
+    """(num_envs,) forward speed of robots that follow a velocity [m/s]."""
+    heading: Tensor
+    """(num_envs,) heading of these, in the world frame [rad]."""
+
+
 class Task(Protocol):
     """Commands, their observation, the rewards on offer, and what counts as success."""
 
@@ -63,9 +83,9 @@ class Task(Protocol):
     """Term and entry of the observation that are positive where the command leads forwards, and to the left."""
 
     def __init__(
-        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None
+        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | Cruise | None = None
     ) -> None:
-        """Build the task with no commands yet; a `trial` replaces those that are drawn."""
+        """Build the task with no commands yet; a trial or a constant command replaces those that are drawn."""
 
     @staticmethod
     def configure(config: Config) -> Config:

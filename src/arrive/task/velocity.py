@@ -17,7 +17,7 @@ from arrive.task.observations import ObservationTerm, around_command
 from arrive.task.rewards import AIR_TIME_S, CRASH_COST, MOTION_COSTS, STALL_SPEED, RewardFunction
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
-from arrive.task.task import Outcome, Start, Trial
+from arrive.task.task import Cruise, Outcome, Start, Trial
 from arrive.terrain.pool import Rasters
 from arrive.terrain.tile import RASTER_HALF
 
@@ -118,7 +118,9 @@ class VelocityTask:
         "roll_pitch_rate_cost": roll_pitch_rate_cost,
     } | MOTION_COSTS
 
-    def __init__(self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | None = None):
+    def __init__(
+        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | Cruise | None = None
+    ):
         """Build the task with no commands yet."""
         self._config, self._trial = config.task, trial
         self._generator = generator
@@ -161,7 +163,7 @@ class VelocityTask:
         """Where walking as told for the rest of the episode, or of the trial, leads."""
         command = self._command
         way = command.speed * command.time_left_s
-        if self._trial is not None:
+        if isinstance(self._trial, Trial):
             way = torch.full_like(way, self._trial.walk)
         direction = torch.stack([command.heading.cos(), command.heading.sin(), torch.zeros_like(way)], dim=-1)
         return command.start_w + way.unsqueeze(-1) * direction
@@ -191,6 +193,9 @@ class VelocityTask:
         """New speeds and headings, or the trial's."""
         command = self._command
         command.age_s[ids] = 0.0
+        if isinstance(self._trial, Cruise):
+            command.speed[ids], command.heading[ids] = self._trial.speed[ids], self._trial.heading[ids]
+            return
         if self._trial is not None:
             command.speed[ids], command.heading[ids] = self._trial.speed, 0.0
             return
@@ -209,6 +214,8 @@ class VelocityTask:
 
     def advance(self, dt: float) -> Tensor:
         command = self._command
+        if isinstance(self._trial, Cruise):
+            return torch.zeros_like(command.outside)
         command.time_left_s -= dt
         command.age_s += dt
         if self._trial is None:
@@ -227,7 +234,7 @@ class VelocityTask:
         failed = crashed | fell
         promote = walked > WALK_TO_RISE
         demote = (walked < 0.5 * commanded) & ~promote
-        if self._trial is None:
+        if not isinstance(self._trial, Trial):
             success, remaining = ~demote & ~failed, (0.5 * commanded - walked).clamp(min=0.0)
         else:
             success = self._command.farthest_x > self._trial.walk

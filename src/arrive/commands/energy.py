@@ -1,0 +1,104 @@
+"""`arrive energy`: what walking costs."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import torch
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from arrive.commands.files import write_json
+from arrive.commands.results import keep_longer
+from arrive.commands.threads import use_threads
+from arrive.errors import ArriveError
+from arrive.evaluation.energy import check_arguments, energy_content, measure_energy
+from arrive.evaluation.policy import Policy, load_policy
+from arrive.evaluation.walking import check_command
+from arrive.files import whole
+from arrive.report.energy_chart import energy_figure
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from arrive.cli import Energy
+
+
+def energy(command: Energy) -> None:
+    """Let policies walk at each speed, print what it costs, and write JSON and figure 5."""
+    check_arguments(command.speeds, command.robots, command.distance)
+    # As in `eval`: small networks gain nothing from torch's threads.
+    threads = use_threads(command.threads)
+    torch.set_num_threads(1)
+    policies = load_policies((command.policy, *command.others))
+    for policy in policies:
+        check_command(policy)
+    effort = len(policies) * len(command.speeds) * command.robots * command.distance
+    keep_longer(command.json, effort, command.force)
+    measured = []
+    with Progress(transient=True) as bar:
+        for policy in policies:
+            walked = bar.add_task(f"{policy.path.parent.name}: robot metres", total=None)
+            measured.append(
+                measure_energy(
+                    policy,
+                    command.speeds,
+                    command.robots,
+                    command.distance,
+                    command.seed,
+                    threads,
+                    lambda i, n, walked=walked: bar.update(walked, completed=i, total=n),
+                )
+            )
+    for content in measured:
+        print_energy(content)
+    result = energy_content(measured, command.robots, command.distance, command.seed)
+    write_json(command.json, result)
+    picture = command.json.with_suffix(".png")
+    with whole(picture) as file:
+        energy_figure(result).savefig(file, format="png", dpi=110)
+    print(f"picture: {picture}")
+
+
+def load_policies(paths: tuple[Path, ...]) -> list[Policy]:
+    """Read policies of different names on the CPU.
+
+    Raises:
+        ArriveError: one cannot be read, or two have one name.
+    """
+    policies = [load_policy(path) for path in paths]
+    names = [policy.path.parent.name for policy in policies]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise ArriveError(f"two policies are called {', '.join(repeated)}; name each once")
+    return policies
+
+
+def print_energy(content: dict[str, Any]) -> None:
+    """The figures of one policy as a table."""
+    robots = content["speeds"][0]["robots"]
+    title = f"{content['name']} ({content['task']}), {robots} robots a speed"
+    table = Table(title=title, title_justify="left", padding=(0, 0))
+    for column in ("told", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood"):
+        table.add_column(column, no_wrap=True)
+    for row in content["speeds"]:
+        figures = ("speed", "torque_sq", "positive_work", "absolute_work", "cost_of_transport", "time_s")
+        table.add_row(
+            f"{row['told_m_s']:g}",
+            *(with_interval(row[name]) for name in figures),
+            str(row["fell"]),
+            str(row["stood"]),
+        )
+    Console().print(table)
+
+
+def with_interval(figure: list[float] | None) -> str:
+    """A value and half of its 95 % interval, with the interval's digits, such as "1.31±0.04"."""
+    if figure is None:
+        return "-"
+    value, low, high = figure
+    half = (high - low) / 2
+    digits = max(1 - math.floor(math.log10(half)), 0) if half > 0 else 3
+    return f"{value:.{digits}f}±{half:.{digits}f}"

@@ -1,0 +1,82 @@
+"""`arrive gait`: how policies step."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from arrive.commands.energy import load_policies, with_interval
+from arrive.commands.files import write_json
+from arrive.commands.results import keep_longer
+from arrive.commands.threads import use_threads
+from arrive.evaluation.gait import check_arguments, gait_content, measure_gait
+from arrive.evaluation.walking import Heading, check_command
+from arrive.files import whole
+from arrive.report.gait_chart import gait_figure
+
+if TYPE_CHECKING:
+    from arrive.cli import Gait
+
+
+def gait(command: Gait) -> None:
+    """Let policies walk steadily, print how they step, and write JSON and figure 6."""
+    told = [Heading(speed, direction) for speed in command.speeds for direction in command.directions]
+    check_arguments(told, command.robots, command.seconds)
+    threads = use_threads(command.threads)
+    torch.set_num_threads(1)
+    policies = load_policies((command.policy, *command.others))
+    for policy in policies:
+        check_command(policy, told)
+    keep_longer(command.json, len(policies) * len(told) * command.robots * command.seconds, command.force)
+    measured = []
+    with Progress(transient=True) as bar:
+        for policy in policies:
+            steps = bar.add_task(f"{policy.path.parent.name}: policy steps", total=None)
+            measured.append(
+                measure_gait(
+                    policy,
+                    told,
+                    command.robots,
+                    command.seconds,
+                    command.seed,
+                    threads,
+                    lambda i, n, steps=steps: bar.update(steps, completed=i, total=n),
+                )
+            )
+    for content in measured:
+        print_gait(content)
+    result = gait_content(measured, command.robots, command.seconds, command.seed)
+    write_json(command.json, result)
+    picture = command.json.with_suffix(".png")
+    with whole(picture) as file:
+        gait_figure(result).savefig(file, format="png", dpi=110)
+    print(f"picture: {picture}")
+
+
+def print_gait(content: dict[str, Any]) -> None:
+    """The gaits of one policy as a table."""
+    feet = content["feet"]
+    table = Table(title=f"{content['name']} ({content['task']})", title_justify="left", padding=(0, 0))
+    for column in ("told", "gait", "m/s", "Hz", "stride [m]", "duty", f"phase {' '.join(feet)}", "travel", "fell"):
+        table.add_column(column, no_wrap=True)
+    for row in content["gaits"]:
+        direction = f" {row['direction_deg']:+g}°" if row["direction_deg"] else ""
+        told = f"{row['told_m_s']:g}{direction}"
+        if row["gait"] is None:
+            table.add_row(told, "does not walk", *[""] * 6, str(row["fell"]))
+            continue
+        duty = sum(value for value, _, _ in row["duty"]) / len(feet)
+        table.add_row(
+            told,
+            row["gait"],
+            *(with_interval(row[name]) for name in ("speed_m_s", "stride_frequency_hz", "stride_length_m")),
+            f"{duty:.2f}",
+            " ".join(f"{phase:.2f}" for phase in row["phase"]),
+            f"{row['travel_deg']:+.0f}°",
+            str(row["fell"]),
+        )
+    Console().print(table)

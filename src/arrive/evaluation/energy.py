@@ -1,0 +1,205 @@
+"""Energy per metre at speeds that policies are told (paper, section Energy Consumption, figure 5)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from arrive.env import POLICY, ArriveEnv
+from arrive.errors import ArriveError
+from arrive.evaluation.estimate import mean, ratio
+from arrive.evaluation.motors import MeteredPhysics, meter
+from arrive.evaluation.playing import Pilot, Progress
+from arrive.evaluation.policy import Policy
+from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, walking_env
+from arrive.learning.rundir import commit
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+STALL_S = 10.0
+"""Who gets on by less than `STALL_M` in this time stands [s]."""
+STALL_M = 0.5
+"""[m]."""
+LEAST_M = 2.0
+"""Robots that fell before this say nothing about walking; they are counted [m]."""
+SLOWEST = STALL_M / STALL_S
+"""Nobody who gets to the end is slower [m/s]."""
+FIGURES = {
+    "torque_sq": "sum of squared torques per metre [N^2 m^2 s/m]",
+    "positive_work": "positive mechanical work per metre [J/m]",
+    "absolute_work": "absolute mechanical work per metre [J/m]",
+    "cost_of_transport": "positive mechanical work over m g times the way",
+    "speed": "speed reached [m/s]",
+    "time_s": "time for the whole way [s]",
+}
+"""What is measured at each speed; each is a value with the ends of its 95 % interval."""
+
+
+@dataclass
+class Walks:
+    """How far every robot got, and what it spent; each (n,), on the CPU."""
+
+    way_m: Tensor
+    """Along the direction in which it was sent [m]."""
+    time_s: Tensor
+    finished: Tensor
+    """bool."""
+    fell: Tensor
+    """bool; who neither finished nor fell stood still."""
+    torque_sq: Tensor
+    """[N^2 m^2 s]."""
+    positive_work: Tensor
+    """[J]."""
+    absolute_work: Tensor
+    """[J]."""
+    weight: Tensor
+    """[N]."""
+
+
+def measure_energy(
+    policy: Policy,
+    speeds: Sequence[float],
+    robots: int,
+    way_m: float,
+    seed: int,
+    threads: int = 0,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Any]:
+    """Let robots walk a way at each speed and sum up what their motors spend.
+
+    Args:
+        robots: per speed.
+        way_m: how far each walks [m].
+        progress: told robot metres walked so far and their number.
+
+    Returns:
+        JSON data: which policy, and a row per speed.
+
+    Raises:
+        ArriveError: nothing to measure, or a policy whose task takes no constant command.
+    """
+    check_arguments(speeds, robots, way_m)
+    told = [Heading(speed) for speed in speeds]
+    env = walking_env(policy, told, robots, way_m / SLOWEST, seed, threads)
+    walks = walk(env, policy, meter(env, threads), way_m, progress)
+    parts = torch.arange(len(speeds)).repeat_interleave(robots)
+    rows = [row(speed, walks, parts == i, way_m) for i, speed in enumerate(speeds)]
+    config = policy.config
+    return {
+        "name": policy.path.parent.name,
+        "task": config.task.name,
+        "preset": config.preset,
+        "terrain": list(config.terrain.families),
+        "samples": policy.samples,
+        "commit": policy.commit,
+        "speeds": rows,
+    }
+
+
+def check_arguments(speeds: Sequence[float], robots: int, way_m: float) -> None:
+    """Refuse what would measure nothing.
+
+    Raises:
+        ArriveError: no speeds, fewer than two robots, or a way that is too short or leads off the ground.
+    """
+    check_speeds(tuple(speeds))
+    if not 2 <= robots <= 10_000:
+        raise ArriveError(f"--robots must be 2 to 10000, for the intervals come from their spread, not {robots}")
+    if not LEAST_M <= way_m <= 200.0:
+        raise ArriveError(f"--distance must be {LEAST_M:g} to 200 m, not {way_m:g}")
+
+
+def walk(env: ArriveEnv, pilot: Pilot, motors: MeteredPhysics, way_m: float, progress: Progress) -> Walks:
+    """Let every robot walk until it has covered the way, fallen or stopped."""
+    n, start_x = env.num_envs, env.state.base_pos_w[:, 0].clone()
+    way, mark = (torch.zeros(n, device=env.device) for _ in range(2))
+    time_s, weight = torch.zeros(n), _weights(env)
+    finished, fell, waiting = (torch.zeros(n, dtype=torch.bool, device=env.device) for _ in range(3))
+    waiting[:] = True
+    observation = env.get_observations()[POLICY]
+    stall_steps = round(STALL_S / env.control_dt)
+    for step in range(1, env.max_episode_length + 1):
+        observation = env.step(pilot.act(observation))[0][POLICY]
+        down = torch.zeros_like(waiting)
+        if env.log.finished is not None:
+            down[env.log.finished.env_ids] = True
+        now = env.state.base_pos_w[:, 0] - start_x
+        # Who fell has been put back to the start by now.
+        way = torch.where(waiting & ~down, now, way)
+        done = waiting & ~down & (way >= way_m)
+        stood = torch.zeros_like(waiting)
+        if step % stall_steps == 0:
+            stood, mark = waiting & (way - mark < STALL_M), way.clone()
+        ended = waiting & (done | down | stood)
+        fell |= waiting & down
+        finished |= done
+        if bool(ended.any()):
+            time_s[ended.cpu()] = step * env.control_dt
+            waiting &= ~ended
+            env.retire(ended.nonzero().squeeze(-1))
+        progress(int(torch.where(waiting, way.clamp(0.0, way_m), way_m).sum()), round(n * way_m))
+        if not bool(waiting.any()):
+            break
+    sums = (motors.torque_sq, motors.positive_work, motors.absolute_work)
+    return Walks(way.cpu(), time_s, finished.cpu(), fell.cpu(), *(total.cpu() for total in sums), weight)
+
+
+def _weights(env: ArriveEnv) -> Tensor:
+    """(num_envs,) m g of each robot with its payload [N]."""
+    masses = [float(env.physics.model_of_env(i).body_mass.sum()) for i in range(env.num_envs)]
+    return GRAVITY * torch.tensor(masses)
+
+
+def row(speed: float, walks: Walks, mine: Tensor, way_m: float) -> dict[str, Any]:
+    """One speed's figures as JSON data; None where fewer than two robots walked.
+
+    Args:
+        mine: (n,) bool, the robots that were told this speed.
+    """
+    fell = mine & walks.fell
+    walked = mine & ((walks.fell & (walks.way_m >= LEAST_M)) | walks.finished)
+    finished = mine & walks.finished
+    way = walks.way_m[walked]
+    figures = {
+        "torque_sq": ratio(walks.torque_sq[walked], way),
+        "positive_work": ratio(walks.positive_work[walked], way),
+        "absolute_work": ratio(walks.absolute_work[walked], way),
+        "cost_of_transport": ratio(walks.positive_work[walked], walks.weight[walked] * way),
+        "speed": ratio(way, walks.time_s[walked]),
+        "time_s": mean(walks.time_s[finished]),
+    }
+    return {
+        "told_m_s": speed,
+        "robots": int(mine.sum()),
+        "finished": int(finished.sum()),
+        "fell": int(fell.sum()),
+        "stood": int((mine & ~walks.finished & ~walks.fell).sum()),
+        "metres": round(float(way.sum()), 3),
+    } | {name: None if figure is None else [round(value, 6) for value in figure] for name, figure in figures.items()}
+
+
+def energy_content(policies: list[dict[str, Any]], robots: int, way_m: float, seed: int) -> dict[str, Any]:
+    """The whole measurement as JSON data."""
+    return {
+        "policies": policies,
+        "figures": FIGURES,
+        "protocol": {
+            "name": "energy",
+            "robots": robots,
+            "way_m": way_m,
+            "effort": len(policies) * len(policies[0]["speeds"]) * robots * way_m,
+            "seed": seed,
+            "terrain": "flat",
+            "observation_noise": True,
+            "command": {
+                "velocity": "its speed",
+                "final": f"a target {LEAD_M:g} m ahead, {LEAD_M:g} m / speed of remaining time that does not run",
+                "continuous": f"a target speed * {LEAD_S:g} s ahead, half of an episode of remaining time",
+            },
+            "counted": f"all metres of robots that finished, or fell after at least {LEAST_M:g} m",
+            "stood": f"got on by less than {STALL_M:g} m in {STALL_S:g} s",
+        },
+        "commit": commit(),
+    }

@@ -1,0 +1,134 @@
+"""Robots that walk on and on over flat ground by a constant command, for the measurements of energy and gait."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from arrive.build import Placement, build_env
+from arrive.env import ArriveEnv
+from arrive.errors import ArriveError
+from arrive.evaluation.difficulty import VARIANTS, randomised
+from arrive.evaluation.policy import Policy
+from arrive.task.continuous import ContinuousPositionTask
+from arrive.task.final import FinalPositionTask
+from arrive.task.registry import get_task
+from arrive.task.task import Cruise
+from arrive.task.velocity import VelocityTask
+from arrive.terrain.pool import EVALUATION_SEED_OFFSET
+
+LEAD_M = 3.0
+"""Distance at which the target stays ahead of a final-position policy (paper, section Energy Consumption) [m]."""
+LEAD_S = 3.0
+"""The target stays as far ahead of a continuous-position policy as the speed leads in this time [s]."""
+TERRAIN = "flat"
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What robots are told: a speed and a direction."""
+
+    speed: float
+    """[m/s]."""
+    direction_deg: float = 0.0
+    """Of travel, relative to the heading at the start, counterclockwise [deg]."""
+
+
+def walking_env(
+    policy: Policy, told: list[Heading], robots: int, duration_s: float, seed: int, threads: int
+) -> ArriveEnv:
+    """Robots on endless flat ground, `robots` for each command in turn, with full noise and without pushes.
+
+    Friction and payload are those of training, the starts those of the protocol of maximum difficulty.
+
+    Args:
+        duration_s: the longest walk [s].
+
+    Raises:
+        ArriveError: the policy's task cannot be commanded so, or it is one of another observation.
+    """
+    headings = [heading for heading in told for _ in range(robots)]
+    cruise = constant_command(policy, headings, duration_s)
+    n, config = len(headings), policy.config
+    config = replace(
+        config,
+        num_envs=n,
+        seed=seed,
+        terrain=replace(config.terrain, families=(TERRAIN,), variants=VARIANTS),
+        observation=replace(config.observation, noise=True, noise_least=1.0),
+        randomisation=randomised(config.randomisation),
+    )
+    nowhere = torch.zeros(n, dtype=torch.long, device=policy.device)
+    placement = Placement(trial=cruise, seed_offset=EVALUATION_SEED_OFFSET, assignment=(nowhere, nowhere))
+    env = build_env(config, placement, threads)
+    policy.check(env)
+    return env
+
+
+def constant_command(policy: Policy, headings: list[Heading], duration_s: float) -> Cruise:
+    """What each robot is told for ever, by the policy's task (paper, section Energy Consumption).
+
+    V is told its speed; P_f a target that stays `LEAD_M` ahead and LEAD_M / speed of remaining time, which does not
+    run; P_c a target that stays speed * `LEAD_S` ahead, in the middle of its time.
+
+    Raises:
+        ArriveError: the task is none of these, or it cannot walk in such a direction.
+    """
+    task = get_task(policy.config.task.name)
+    check_command(policy, headings)
+    speed = torch.tensor([heading.speed for heading in headings])
+    angle = torch.tensor([math.radians(heading.direction_deg) for heading in headings])
+    ahead = torch.stack([angle.cos(), angle.sin()], dim=-1)
+    episode_s = policy.config.task.episode_s
+    if issubclass(task, ContinuousPositionTask):
+        lead, time_left = speed * LEAD_S, torch.full_like(speed, episode_s / 2)
+    else:
+        lead, time_left = torch.full_like(speed, LEAD_M), LEAD_M / speed
+    return Cruise(
+        duration_s=duration_s,
+        offset_w=(lead[:, None] * ahead).to(policy.device),
+        time_left_s=time_left.to(policy.device),
+        speed=torch.where(ahead[:, 0] < 0.0, -speed, speed).to(policy.device),
+        heading=torch.zeros_like(speed).to(policy.device),
+    )
+
+
+def check_command(policy: Policy, headings: Sequence[Heading] = ()) -> None:
+    """Refuse what cannot be commanded.
+
+    Raises:
+        ArriveError: the policy's task takes no constant command, or it cannot walk in such a direction.
+    """
+    name = policy.config.task.name
+    task = get_task(name)
+    if not issubclass(task, FinalPositionTask | VelocityTask):
+        raise ArriveError(
+            f"{policy.path}: the task {name!r} takes no constant command; "
+            "give policies of 'velocity', 'continuous' or 'final'"
+        )
+    sideways = sorted({heading.direction_deg for heading in headings if heading.direction_deg % 180.0})
+    if issubclass(task, VelocityTask) and sideways:
+        listed = ", ".join(f"{direction:g}" for direction in sideways)
+        raise ArriveError(
+            f"{policy.path}: the task {name!r} walks forward (0) or backward (180) only, not towards {listed} deg"
+        )
+
+
+def told_directions(told: list[Heading], robots: int) -> Tensor:
+    """(len(told) * robots, 2) unit vectors in the world in which the robots are sent."""
+    angle = torch.tensor([math.radians(heading.direction_deg) for heading in told]).repeat_interleave(robots)
+    return torch.stack([angle.cos(), angle.sin()], dim=-1)
+
+
+def check_speeds(speeds: tuple[float, ...]) -> None:
+    """Refuse speeds that no robot can be told.
+
+    Raises:
+        ArriveError: none, or one that is not positive and finite.
+    """
+    if not speeds or not all(0.0 < speed <= 10.0 for speed in speeds):
+        raise ArriveError(
+            f"--speeds must be numbers above 0 and up to 10 m/s, not {' '.join(map(str, speeds)) or 'none'}"
+        )
