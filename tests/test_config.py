@@ -41,7 +41,7 @@ def test_presets_share_nothing_that_can_be_changed():
         ("physics.motor=ideal", lambda c: c.physics.motor, "ideal"),
         ('terrain.families=["pit", "gap"]', lambda c: c.terrain.families, ("pit", "gap")),
         ("task.rewards.stall_cost=-2", lambda c: c.task.rewards["stall_cost"], -2.0),
-        ("task.rewards.tilt_cost=-0.5", lambda c: c.task.rewards["tilt_cost"], -0.5),  # new in this preset
+        ("task.rewards.pose_cost=-0.5", lambda c: c.task.rewards["pose_cost"], -0.5),  # new in this preset
     ],
 )
 def test_an_assignment_changes_its_field_and_no_other(assignment, read, value):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from arrive.evaluation.policy import Policy
 
 from arrive.commands.results import effort_of, keep_longer
 from arrive.config import override
@@ -14,7 +15,6 @@ from arrive.evaluation import walking
 from arrive.evaluation.energy import GRAVITY, check_arguments, energy_content, row, walk
 from arrive.evaluation.estimate import Z, mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
-from arrive.evaluation.policy import Policy
 from arrive.evaluation.walking import Heading, check_command, constant_command, walking_env
 from arrive.files import write_json
 from arrive.presets import get_preset

@@ -1,7 +1,5 @@
 """What the policy senses, term by term, against hand computation and against rays."""
 
-import math
-
 import mujoco
 import numpy as np
 import pytest
@@ -187,20 +185,6 @@ def test_heights_are_those_that_rays_find_on_every_family():
         assert (error < 1e-4).mean() > 0.99, name
         tile = env.pool.tiles[env.tile_of_env[i]]
         np.testing.assert_allclose(tile.heights[rows, columns], ground, atol=1e-4, err_msg=name)
-
-
-def test_clearance_is_that_of_the_trunks_lowest_corner_above_the_highest_ground_below_it():
-    env = an_env(4, ("pit",))
-    qpos = np.zeros((4, 19))
-    qpos[:, 2:4] = 1.8, 1.0
-    pitch = 0.3
-    qpos[1, 3:7] = math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0  # nose down
-    qpos[2, 3:7] = math.cos(pitch / 2), math.sin(pitch / 2), 0.0, 0.0  # left side up
-    qpos[3, 0] = 1.1  # its nose, 0.5 m ahead, is above the pit's edge at 1.5 m, 1.1 m high
-    put(env, qpos, np.zeros((4, 18)))
-    # Grid points are 0.1 m apart; the last within the trunk's half length of 0.52 m and half width of 0.16 m count.
-    expected = [1.8, 1.8 - 0.5 * math.sin(pitch), 1.8 - 0.1 * math.sin(pitch), 0.7]
-    np.testing.assert_allclose(env.state.clearance, expected, atol=1e-5)
 
 
 def noise_of(env: ArriveEnv, samples: int) -> dict[str, Tensor]:

@@ -255,19 +255,6 @@ def test_collision_shapes_meet_the_terrain_and_not_the_robot(robot_model):
     assert with_geoms == {*ROBOT.crash_bodies, *ROBOT.collision_bodies, *ROBOT.foot_bodies}
 
 
-def test_the_trunk_is_as_long_and_wide_as_what_crashes(robot_model):
-    reach = np.zeros(2)
-    for body in ROBOT.crash_bodies:
-        for geom in np.flatnonzero(robot_model.geom_bodyid == robot_model.body(body).id):
-            center, half = robot_model.geom_aabb[geom].reshape(2, 3)
-            entries = np.zeros(9)
-            mujoco.mju_quat2Mat(entries, robot_model.geom_quat[geom])
-            rotation = entries.reshape(3, 3)
-            middle = robot_model.geom_pos[geom] + rotation @ center
-            reach = np.maximum(reach, (np.abs(middle) + np.abs(rotation) @ half)[:2])
-    np.testing.assert_allclose(reach, ROBOT.trunk_half, atol=5e-7)
-
-
 def test_visuals_change_nothing_but_the_picture(robot_model):
     model = ROBOT.build_spec(True).compile()
     seen = model.geom_group == 2

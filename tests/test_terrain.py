@@ -144,7 +144,7 @@ class TestParameterIsPhysical:
         assert not tile.crossing[tile.heights < -0.02].any()
         depth = min(2.0, 0.03 + 2.0 * (width - 0.02)) if layout == "training" else 2.0
         assert tile.heights.min() == pytest.approx(-depth)
-        assert tile.fall_height < tile.rim_height <= 0.0
+        assert tile.fall_height < 0.0
 
     def test_pit_is_as_deep(self, layout, level):
         tile = tile_at("pit", layout, level)

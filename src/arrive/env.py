@@ -13,7 +13,7 @@ from arrive.physics.engine import Physics, Readings
 from arrive.robots.robot import Robot
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
 from arrive.task.feet import follow_feet
-from arrive.task.heights import HeightGrid, grid_heights, trunk_clearance
+from arrive.task.heights import HeightGrid, grid_heights
 from arrive.task.observations import Observer
 from arrive.task.rewards import CRASH_COST, EXPLORATION_REWARDS
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
@@ -95,9 +95,6 @@ class ArriveEnv(VecEnv):
         """Whether to take down the last observation of every episode, which costs a second look at all robots."""
         self._terms = _weighted_terms(task, config.task.rewards)
         self._grid = HeightGrid(config.observation).points.to(self.device)
-        half_trunk = torch.tensor(robot.trunk_half, device=self.device)
-        self._below_trunk = (self._grid.abs() <= half_trunk).all(-1).nonzero().squeeze(-1)
-        self._trunk_grid = self._grid[self._below_trunk]
         sensing = config.observation
         self.observer = Observer(task.observation_terms(config, robot), sensing.noise, self.device, sensing.noise_least)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
@@ -258,21 +255,18 @@ class ArriveEnv(VecEnv):
         touches = readings.foot_contacts > 0
         _, landed_s = follow_feet(buffers["foot_air_s"], buffers["foot_touched"], touches, self.control_dt)
         heights_w = grid_heights(rasters.heights, tiles, self._grid, readings.base_pos_w, yaw_of(quat))
-        gravity_b = rotate_inverse(quat, self._down[: len(quat)])
-        below_w = heights_w[:, self._below_trunk]
         return State(
             base_pos_w=readings.base_pos_w,
             base_quat_w=quat,
             base_lin_vel_w=readings.base_lin_vel_w,
             base_lin_vel_b=rotate_inverse(quat, readings.base_lin_vel_w),
             base_ang_vel_b=readings.base_ang_vel_b,
-            gravity_b=gravity_b,
+            gravity_b=rotate_inverse(quat, self._down[: len(quat)]),
             joint_pos=readings.joint_pos,
             joint_offset=readings.joint_pos - self._default_joint_pos,
             joint_vel=readings.joint_vel,
             joint_acc=(readings.joint_vel - buffers["joint_vel"]) / self.control_dt,
             joint_torque=readings.joint_torque,
-            foot_pos_w=readings.foot_pos_w,
             foot_vel_w=readings.foot_vel_w,
             foot_acc_w=(readings.foot_vel_w - buffers["foot_vel"]) * (moving / self.control_dt)[:, None, None],
             foot_landed_s=landed_s,
@@ -282,9 +276,7 @@ class ArriveEnv(VecEnv):
             collision_contacts=readings.collision_contacts,
             foot_contacts=readings.foot_contacts,
             heights_w=heights_w,
-            clearance=trunk_clearance(self._trunk_grid, below_w, readings.base_pos_w[:, 2], gravity_b),
             fall_height=rasters.fall_height[tiles],
-            rim_height=rasters.rim_height[tiles],
         )
 
     def _terminate(self, state: State) -> tuple[Outcome, Tensor]:

@@ -116,7 +116,6 @@ class CpuPhysics:
             joint_pos=qpos[:, 7:],
             joint_vel=qvel[:, 6:],
             joint_torque=_float32(self._torque[rows]),
-            foot_pos_w=sensors[:, layout.foot_position].unflatten(1, (self._num_feet, 3)),
             foot_vel_w=sensors[:, layout.foot_velocity].unflatten(1, (self._num_feet, 3)),
             crash_contacts=sensors[:, layout.crash_contacts].sum(-1),
             collision_contacts=(sensors[:, layout.collision_contacts] > 0).float().sum(-1),

@@ -34,8 +34,6 @@ class Readings:
     """(num_envs, num_joints) [rad/s]."""
     joint_torque: Tensor
     """(num_envs, num_joints) [N m]."""
-    foot_pos_w: Tensor
-    """(num_envs, num_feet, 3) [m]."""
     foot_vel_w: Tensor
     """(num_envs, num_feet, 3) [m/s]."""
     crash_contacts: Tensor

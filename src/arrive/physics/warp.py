@@ -226,7 +226,6 @@ class WarpPhysics:
             joint_pos=qpos[:, 7:],
             joint_vel=qvel[:, 6:],
             joint_torque=self._torque[rows],
-            foot_pos_w=sensors[:, self._layout.foot_position].unflatten(1, (-1, 3)),
             foot_vel_w=sensors[:, self._layout.foot_velocity].unflatten(1, (-1, 3)),
             crash_contacts=crash.sum(-1),
             collision_contacts=(collision > 0).float().sum(-1),

@@ -12,7 +12,6 @@ from arrive.physics.scene import add_tile
 from arrive.robots.robot import Robot
 from arrive.terrain.tile import Tile
 
-FOOT_POSITION = "foot_position"
 FOOT_VELOCITY = "foot_velocity"
 CONTACTS = "contacts"
 
@@ -21,8 +20,6 @@ CONTACTS = "contacts"
 class Sensors:
     """Where each sensor's readings stand in `sensordata`; the same for every world of a robot."""
 
-    foot_position: slice
-    """World-frame position of each foot site, 3 per foot [m]."""
     foot_velocity: slice
     """World-frame velocity of each foot site, 3 per foot [m/s]."""
     crash_contacts: slice
@@ -36,17 +33,20 @@ class Sensors:
 def sensor_layout(robot: Robot) -> Sensors:
     """The layout that `add_sensors` produces."""
     vectors, crash, collision = 3 * len(robot.foot_sites), len(robot.crash_bodies), len(robot.collision_bodies)
-    sizes = (vectors, vectors, crash, collision, len(robot.foot_bodies))
+    sizes = (vectors, crash, collision, len(robot.foot_bodies))
     starts = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
     return Sensors(*(slice(a, b) for a, b in itertools.pairwise(starts)))
 
 
 def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add the sensors the task reads, and no others: each costs time at every physics step."""
-    kinds = {FOOT_POSITION: mujoco.mjtSensor.mjSENS_FRAMEPOS, FOOT_VELOCITY: mujoco.mjtSensor.mjSENS_FRAMELINVEL}
-    for name, kind in kinds.items():
-        for site in robot.foot_sites:
-            spec.add_sensor(name=f"{name}_{site}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+    for site in robot.foot_sites:
+        spec.add_sensor(
+            name=f"{FOOT_VELOCITY}_{site}",
+            type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site,
+        )
     _add_contact_counts(spec, (*robot.crash_bodies, *robot.collision_bodies, *robot.foot_bodies))
 
 

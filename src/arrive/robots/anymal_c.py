@@ -89,8 +89,6 @@ HFE_IN_HIP: Vec3 = (0.0599, 0.08381, 0.0)
 KFE_IN_THIGH: Vec3 = (0.0, 0.1003, -0.285)
 FOOT_IN_SHANK: Vec3 = (0.08795, 0.01305, -0.31547)
 FOOT_RADIUS = 0.03
-TRUNK_HALF = (0.5245, 0.16)
-"""Half the length and half the width of the base's collision shapes [m]."""
 
 HAA_RANGE = (-0.72, 0.49)
 """Of the left legs, positive outwards; the right legs' is its mirror image [rad]."""
@@ -150,7 +148,7 @@ def _add_leg(base: mujoco.MjsBody, leg: Leg) -> list[mujoco.MjsBody]:
 
 def _add_base_collision(base: mujoco.MjsBody) -> None:
     """A box and a capsule on either side: the description's boxes and cylinders of trunk and faces, end to end."""
-    _collide(base, mujoco.mjtGeom.mjGEOM_BOX, size=[TRUNK_HALF[0], 0.07, 0.09])
+    _collide(base, mujoco.mjtGeom.mjGEOM_BOX, size=[0.5245, 0.07, 0.09])
     for y in (0.07, -0.07):
         _collide_capsule(base, (-0.4345, y, 0.0), (0.4345, y, 0.0), 0.09)
 
@@ -241,7 +239,6 @@ ANYMAL_C = Robot(
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("THIGH", "SHANK")),
     crash_bodies=("base",),
-    trunk_half=TRUNK_HALF,
     joint_mirror=joint_mirror(JOINT_NAMES),
     joint_reverse=joint_reverse(JOINT_NAMES),
 )

@@ -39,8 +39,6 @@ class Robot:
     """Bodies whose contacts count as the collisions N_c of the paper's eq. 2."""
     crash_bodies: tuple[str, ...]
     """Bodies whose contact ends the episode."""
-    trunk_half: tuple[float, float]
-    """Half the length and half the width of what would hit the ground first below the base, centred at it [m]."""
     joint_mirror: tuple[tuple[str, float], ...]
     """For each joint, its partner under left-right reflection and the sign of the position there."""
     joint_reverse: tuple[tuple[str, float], ...] | None = None

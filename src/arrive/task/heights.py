@@ -78,20 +78,3 @@ def grid_heights(rasters: Tensor, raster_ids: Tensor, points: Tensor, base_pos_w
     flat = torch.add(cells[:, k:], cells[:, :k], alpha=RASTER_SIZE).int()
     flat += (raster_ids * RASTER_SIZE**2).int().unsqueeze(-1)
     return rasters.view(-1).index_select(0, flat.view(-1)).view(n, k)
-
-
-def trunk_clearance(points: Tensor, heights_w: Tensor, base_height: Tensor, gravity_b: Tensor) -> Tensor:
-    """The least height of a trunk's middle plane above the ground below it, to first order in its tilt.
-
-    Args:
-        points: (k, 2) grid points below the trunk, in the heading frame [m].
-        heights_w: (n, k) ground at them [m].
-        base_height: (n,) of the trunk's middle [m].
-        gravity_b: (n, 3) unit vector of gravity in the base frame.
-
-    Returns:
-        (n,) [m], infinite where k is 0.
-    """
-    if not len(points):
-        return torch.full_like(base_height, torch.inf)
-    return (base_height.unsqueeze(-1) - gravity_b[:, :2] @ points.T - heights_w).amin(-1)

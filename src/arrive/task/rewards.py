@@ -20,8 +20,6 @@ PACES = (0.3, 1.5)
 """Slowest and fastest speed that the `pace` reward asks for [m/s]."""
 LEAST_TIME_S = 0.2
 """Less remaining time than this is taken for this much [s]."""
-CLEARANCE = 0.3
-"""Height of the trunk's middle above the ground below which it may soon hit it [m]; ANYmal stands at 0.55."""
 AIR_TIME_S = 0.5
 """How long a foot should be in the air in one step (legged_gym) [s]."""
 
@@ -125,16 +123,6 @@ def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
     return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
 
 
-def short_step_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Sum over the feet that have just landed of what their time in the air lacked of 0.5 s, (n,) [s].
-
-    Not in the paper. The half of legged_gym's air-time reward that cannot be earned by holding a foot up. Like there it
-    is an event, yet multiplied by the time step like a rate.
-    """
-    landed = state.foot_landed_s
-    return ((AIR_TIME_S - landed).clamp(min=0.0) * (landed > 0)).sum(-1)
-
-
 def stand(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Standing still at the target during the reward window. Not in the paper.
 
@@ -145,32 +133,12 @@ def stand(state: State, command: Command, config: TaskConfig) -> Tensor:
     return here * torch.exp(-2.0 * state.base_lin_vel_w.norm(dim=-1)) / config.reward_window_s
 
 
-def tilt_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Squared horizontal part of gravity in the base frame: 0 upright, 1 on the side, (n,). Not in the paper."""
-    return state.gravity_b[:, :2].square().sum(-1)
-
-
 def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     """Sum of squared joint positions relative to the default pose, (n,) [rad^2]. Not in the paper.
 
     Without it nothing asks a robot that has stopped to set its feet under its hips again.
     """
     return state.joint_offset.square().sum(-1)
-
-
-def clearance_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """How much less than 0.3 m the trunk's middle is above the ground below it, (n,) [m]. Not in the paper."""
-    return (CLEARANCE - state.clearance).clamp(min=0.0)
-
-
-def misstep_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Sum over the feet in a hole of the speed at which they sink, (n,) [m/s]. Not in the paper.
-
-    Its integral is how deep they sank. Staying there or climbing out costs nothing, so that a robot whose foot is
-    caught does not gain by crashing.
-    """
-    in_hole = state.foot_pos_w[..., 2] < state.rim_height.unsqueeze(-1)
-    return (in_hole * (-state.foot_vel_w[..., 2]).clamp(min=0.0)).sum(-1)
 
 
 RewardFunction = Callable[[State, Any, TaskConfig], Tensor]
@@ -182,10 +150,7 @@ MOTION_COSTS: dict[str, RewardFunction] = {
     "collision_cost": collision_cost,
     "action_rate_cost": action_rate_cost,
     "foot_acc_cost": foot_acc_cost,
-    "tilt_cost": tilt_cost,
     "pose_cost": pose_cost,
-    "clearance_cost": clearance_cost,
-    "misstep_cost": misstep_cost,
 }
 """Costs of moving, whatever the command; every task has them."""
 
@@ -196,7 +161,6 @@ REWARDS: dict[str, RewardFunction] = {
     "approach": approach,
     "pace": pace,
     "stand": stand,
-    "short_step_cost": short_step_cost,
 } | MOTION_COSTS
 """Terms of the tasks that send robots to places."""
 EXPLORATION_REWARDS = ("exploration", "approach", "pace")

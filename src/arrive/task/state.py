@@ -34,8 +34,6 @@ class State:
     """(n, joints) change of joint_vel over the policy step [rad/s^2]."""
     joint_torque: Tensor
     """(n, joints) at the last physics step [N m]."""
-    foot_pos_w: Tensor
-    """(n, feet, 3) [m]."""
     foot_vel_w: Tensor
     """(n, feet, 3) [m/s]."""
     foot_acc_w: Tensor
@@ -54,12 +52,8 @@ class State:
     """(n, feet) contacts of each foot."""
     heights_w: Tensor
     """(n, points) ground height under each point of the yaw-aligned grid around the base [m]."""
-    clearance: Tensor
-    """(n,) the least height of the trunk's middle plane above the grid points below it; infinite where none is [m]."""
     fall_height: Tensor
     """(n,) a base lower than this has fallen into a hole [m]."""
-    rim_height: Tensor
-    """(n,) a foot lower than this is in a hole [m]."""
 
 
 @dataclass

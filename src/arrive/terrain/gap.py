@@ -26,8 +26,6 @@ SHALLOWEST, DEPTH_PER_WIDTH = 0.03, 2.0
 0.2 m is 0.39 m deep. Robots learn nothing from falling into a deep one; a foot that sinks into a groove tells them."""
 FALL_HEIGHT = -0.5
 """A base this far below the edges cannot come back [m]."""
-RIM_HEIGHT = 0.0
-"""The middle of a foot this low is below the edges [m]."""
 EDGE_MARGIN = 0.35
 """Targets nearer to a gap than this are invalid [m]: a robot standing there would have feet over the hole."""
 
@@ -54,7 +52,7 @@ def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
         hole = beyond_x(EVALUATION_GAP_X) & ~beyond
     palette = [ABYSS, START] + [LIGHT] * (len(boxes) - 2)
     valid = ~dilate(hole, EDGE_MARGIN)
-    return assemble(boxes, palette, valid, beyond, fall_height=FALL_HEIGHT, rim_height=RIM_HEIGHT)
+    return assemble(boxes, palette, valid, beyond, fall_height=FALL_HEIGHT)
 
 
 def _ring_edges(width: float) -> list[float]:

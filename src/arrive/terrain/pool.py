@@ -27,8 +27,6 @@ class Rasters:
     crossing: Tensor
     fall_height: Tensor
     """(num_tiles,) [m]."""
-    rim_height: Tensor
-    """(num_tiles,) [m]."""
     parted: Tensor
     """(num_tiles,) bool."""
 
@@ -132,7 +130,6 @@ def stack_rasters(tiles: Sequence[Tile]) -> Rasters:
         target_valid=torch.from_numpy(np.stack([tile.target_valid for tile in tiles])),
         crossing=torch.from_numpy(np.stack([tile.crossing for tile in tiles])),
         fall_height=torch.tensor([tile.fall_height for tile in tiles], dtype=torch.float32),
-        rim_height=torch.tensor([tile.rim_height for tile in tiles], dtype=torch.float32),
         parted=torch.tensor([tile.parted for tile in tiles]),
     )
 

@@ -17,7 +17,6 @@ def assemble(
     crossing: np.ndarray | None = None,
     height_field: HeightField | None = None,
     fall_height: float = -np.inf,
-    rim_height: float = -np.inf,
     parted: bool = True,
 ) -> Tile:
     """A tile of these shapes with its height raster; a mask that is not given is true everywhere."""
@@ -30,7 +29,6 @@ def assemble(
         parted=parted,
         height_field=height_field,
         fall_height=fall_height,
-        rim_height=rim_height,
         palette=tuple(palette),
     )
 

@@ -53,8 +53,6 @@ class Tile:
     height_field: HeightField | None = None
     fall_height: float = -np.inf
     """A base lower than this has fallen into a hole [m]."""
-    rim_height: float = -np.inf
-    """A foot lower than this is in a hole [m]."""
     palette: tuple[tuple[float, float, float], ...] = field(default=())
     """Optional RGB colour per box and then of the height field; grey where absent."""
 
