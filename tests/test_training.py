@@ -176,7 +176,6 @@ def test_every_part_of_the_state_is_restored(tmp_path, split):
         "ppo.symmetry=true",
         "task.bootstrap_timeouts=true",
         "task.arrival_radius=2.5",
-        "ppo.averaged_iterations=3",
     )
     terrain = '["flat", "stairs", "rough"]'
     whole = make_trainer(tmp_path / "whole", *settings, terrain=terrain)
@@ -342,32 +341,9 @@ def saved_actor(trainer: Trainer) -> dict[str, Tensor]:
     return torch.load(trainer.folder / "policy.pt", weights_only=True)["actor"]
 
 
-def test_the_policy_is_the_mean_of_the_last_networks(tmp_path):
-    """A mean of two at first; from then on the newest network has a share of one in two."""
-    trainer = make_trainer(tmp_path / "run", "ppo.averaged_iterations=2")
-    assert differing(saved_actor(trainer), actor_weights(trainer)) == []
-    networks = []
-    for _ in range(3):
-        trainer.iterate(lambda report: None)
-        networks.append(actor_weights(trainer))
-    first, second, third = networks
-    for name, mean in saved_actor(trainer).items():
-        torch.testing.assert_close(mean, first[name] / 4 + second[name] / 4 + third[name] / 2)
-    assert differing(trainer.algorithm.save()["actor_state_dict"], third) == [], "learning goes on from the mean"
-
-
-def test_without_averaging_the_policy_is_the_last_network(tmp_path):
+def test_the_saved_policy_is_the_last_network(tmp_path):
     trainer = make_trainer(tmp_path / "run")
     run(trainer, 3)
-    assert differing(saved_actor(trainer), actor_weights(trainer)) == []
-
-
-def test_a_warm_start_averages_nothing_of_the_other_run(tmp_path):
-    train("flat", tmp_path / "first", 2, "ppo.averaged_iterations=5")
-    trainer = make_trainer(tmp_path / "second", "ppo.averaged_iterations=5")
-    trainer.warm_start(tmp_path / "first" / "checkpoint.pt")
-    assert differing(saved_actor(trainer), saved_state(tmp_path / "first")["algorithm"]["actor_state_dict"]) == []
-    trainer.iterate(lambda report: None)
     assert differing(saved_actor(trainer), actor_weights(trainer)) == []
 
 

@@ -161,8 +161,6 @@ class PPOConfig:
     """First standard deviation of the action noise, whose logarithm is learnt."""
     warm_std: float = 0.0
     """The same where a run starts from another's networks; 0 keeps theirs."""
-    averaged_iterations: int = 1
-    """Iterations, about the last so many, whose networks' mean is the policy that is saved; 1 saves the last one."""
     hidden: tuple[int, ...] = (512, 256, 128)
     """Hidden layers of actor and critic."""
     precision: Precision = "float32"

@@ -1,6 +1,7 @@
 """Named configurations, each a plain function that builds one afresh."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from arrive.config import Config, ObservationConfig, PPOConfig, ScheduleConfig, TaskConfig, TerrainConfig
 from arrive.errors import unknown_name
@@ -60,7 +61,27 @@ def robust() -> Config:
     )
 
 
-PRESETS: dict[str, Callable[[], Config]] = {"paper": paper, "robust": robust}
+def joystick() -> Config:
+    """For a policy that is led by a stick: targets that change all the time, and pay for the speed that is asked for."""
+    config = robust()
+    task = replace(
+        config.task,
+        episode_min_s=2.0,
+        target_distance=(0.0, 5.0),
+        retarget_s=1.0,
+        stop_share=0.2,
+        rewards=config.task.rewards | {"approach": 0.0, "pace": 2.0, "pose_cost": -0.2},
+    )
+    return replace(
+        config,
+        preset="joystick",
+        task=task,
+        observation=replace(config.observation, noise_least=0.0),
+        randomisation=replace(config.randomisation, push_interval_s=3.0),
+    )
+
+
+PRESETS: dict[str, Callable[[], Config]] = {"paper": paper, "robust": robust, "joystick": joystick}
 
 
 def get_preset(name: str) -> Config:

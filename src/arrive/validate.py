@@ -64,7 +64,6 @@ def _positive(config: Config) -> Iterator[tuple[str, object, str, bool]]:
             "num_steps",
             "epochs",
             "mini_batches",
-            "averaged_iterations",
             "learning_rate",
             "init_std",
             "clip",

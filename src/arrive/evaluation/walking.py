@@ -11,7 +11,7 @@ from arrive.build import Placement, build_env
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.difficulty import VARIANTS, randomised
-from arrive.evaluation.policy import Policy
+from arrive.learning.policy import Policy
 from arrive.task.continuous import ContinuousPositionTask
 from arrive.task.final import FinalPositionTask
 from arrive.task.registry import get_task

@@ -33,7 +33,7 @@ def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: P
     schema = state.env.observer.schema()
     origin = Origin(config.robot, config, schema, commit(), snapshot.iteration, snapshot.samples).content()
     save_sealed(origin | {"state": vars(snapshot) | {"others": others}}, folder / CHECKPOINT_NAME)
-    save_sealed(origin | {"actor": state.average.weights()}, folder / POLICY_NAME)
+    save_sealed(origin | {"actor": state.algorithm.get_policy().state_dict()}, folder / POLICY_NAME)
 
 
 def resume_run(state: TrainingState, config: Config, folder: Path, ranks: Ranks) -> None:

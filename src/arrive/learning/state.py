@@ -11,7 +11,6 @@ from torch import Tensor
 
 from arrive.config import Config
 from arrive.env import POLICY, ArriveEnv
-from arrive.learning.average import WeightAverage
 from arrive.learning.ppo import make_ppo
 from arrive.learning.ranks import Ranks
 from arrive.learning.statistics import TrainingStatistics
@@ -29,7 +28,6 @@ class Snapshot:
     elapsed_s: float
     algorithm: dict[str, Any]
     """Networks and optimiser, as rsl_rl saves them."""
-    average: dict[str, Tensor]
     device: str
     """Kind of device that the robots live on."""
     env: dict[str, Any]
@@ -62,7 +60,6 @@ class TrainingState:
         self.env = env
         self.observations: TensorDict = env.get_observations()
         self.algorithm: PPO = make_ppo(config.ppo, env, self.observations, ranks)
-        self.average = WeightAverage(self.algorithm.get_policy(), config.ppo.averaged_iterations)
         if not ranks.leads:
             torch.manual_seed(config.seed + ranks.seed_offset)
         self.statistics = TrainingStatistics(env)
@@ -81,7 +78,6 @@ class TrainingState:
             "samples": self.samples,
             "elapsed_s": self.elapsed_s,
             "algorithm": self.algorithm.save(),
-            "average": self.average.state_dict(),
             "device": self.env.device.type,
             "env": self.env.state_dict(),
             "observations": self.observations[POLICY],
@@ -99,7 +95,6 @@ class TrainingState:
         """
         self.iteration, self.samples, self.elapsed_s = snapshot.iteration, snapshot.samples, snapshot.elapsed_s
         self.algorithm.load(copy.deepcopy(snapshot.algorithm), None, True)
-        self.average.load_state_dict(snapshot.average)
         self.env.load_state_dict(snapshot.env)
         observations = snapshot.observations.to(self.env.device, copy=True)
         self.observations = TensorDict({POLICY: observations}, batch_size=[self.env.num_envs])

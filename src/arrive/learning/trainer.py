@@ -123,7 +123,6 @@ class Trainer:
             return False
         result = _Iteration(rewards, losses, time.monotonic() - start)
         state = self.state
-        state.average.take()
         state.iteration += 1
         state.samples += self.batch
         state.elapsed_s += result.seconds

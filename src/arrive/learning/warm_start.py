@@ -17,7 +17,7 @@ from arrive.task.curriculum import deal_families
 def warm_start(state: TrainingState, config: Config, path: Path) -> int:
     """Take networks and optimiser from another run's checkpoint, and the levels of the families that both have.
 
-    The networks are its last ones, not their average; the action noise too, where `ppo.warm_std` gives no other.
+    The action noise is its own too, where `ppo.warm_std` gives no other.
 
     Returns:
         Policy steps that the other run has made.
@@ -34,7 +34,6 @@ def warm_start(state: TrainingState, config: Config, path: Path) -> int:
         raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
     if config.ppo.warm_std > 0.0:
         state.algorithm.get_policy().distribution.log_std_param.data.fill_(math.log(config.ppo.warm_std))
-    state.average.restart()
     state.env.settle(levels)
     state.observations = state.env.get_observations()
     return origin.samples
