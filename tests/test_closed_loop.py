@@ -19,7 +19,7 @@ from arrive.policies import open_policy
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.terrain import FAMILIES
 
-RUN = Path(__file__).parent.parent / "results" / "flat-1"
+RUN = Path(__file__).parent.parent / "policies" / "walk"
 GRAVITY, HEIGHTS = slice(6, 9), slice(49, 236)
 
 

@@ -506,7 +506,7 @@ def test_an_unknown_policy_names_the_shipped_ones():
 
 
 def test_run_folders_of_the_checkout_have_names(capsys, monkeypatch):
-    other = RUN.parents[1] / "results" / "flat-1"
+    other = RUN.parents[1] / "policies" / "walk"
     monkeypatch.setattr(policies, "TRAINED", other.parent)
     assert policies.find_run(Path(other.name)) == other
     assert open_policy(other.name).digest == open_policy(str(other)).digest

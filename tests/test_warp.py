@@ -393,7 +393,7 @@ def test_every_tensor_of_a_step_says_its_device():
 
 def returns(engine: str, episodes: int) -> tuple[Tensor, Tensor]:
     """Return and arrival of the first episode of each robot, walking on flat ground by a trained policy."""
-    policy = load_policy(Path(__file__).parents[1] / "results" / "flat-1")
+    policy = load_policy(Path(__file__).parents[1] / "policies" / "walk")
     config = replace(policy.config, num_envs=episodes, physics=replace(policy.config.physics, engine=engine))
     nowhere = torch.zeros(episodes, dtype=torch.long)
     env = build_env(config, Placement(assignment=(nowhere, nowhere)), threads=1)
