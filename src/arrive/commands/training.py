@@ -23,7 +23,7 @@ from arrive.learning.display import TrainingDisplay, count
 from arrive.learning.logs import RunLog
 from arrive.learning.ranks import Ranks, join_ranks
 from arrive.learning.report import IterationReport
-from arrive.learning.rundir import new_run_folder, owned, read_config, samples_before, write_config
+from arrive.learning.rundir import check_free, new_run_folder, owned, read_config, samples_before, write_config
 from arrive.learning.trainer import Budget, Trainer
 from arrive.lock import Lock
 from arrive.physics.device import choose_device, describe_device
@@ -51,6 +51,8 @@ def train(command: Train) -> None:
     # Rank 0 alone makes the folder; the others take what it has found.
     config, folder = ranks.share((_resumed if command.resume else _fresh)(command) if ranks.leads else None)
     with owned(folder) if ranks.leads else nullcontext() as lock:
+        if ranks.leads and not command.resume:
+            check_free(folder)  # once more: another process may have had the lock until now
         try:
             _train(command, _Run(config, folder, ranks, device, threads, budget, lock))
         except KeyboardInterrupt:
@@ -77,6 +79,7 @@ def _train(command: Train, run: _Run) -> None:
     if run.ranks.leads:
         together = f", {run.ranks.count} processes" if run.ranks.count > 1 else ""
         print(describe_device(run.device, command.device, run.threads, run.config.physics.engine) + together)
+    log = RunLog(run.folder) if run.ranks.leads else None  # read before anything is built: it may be damaged
     trainer = Trainer(run.config, _build(run), run.folder, run.ranks)
     before = 0
     if command.resume:
@@ -84,10 +87,15 @@ def _train(command: Train, run: _Run) -> None:
     elif command.start_from:
         start = find_run(command.start_from)
         before = trainer.warm_start(start / CHECKPOINT_NAME) + samples_before(read_config(start)[1])
-    if run.ranks.leads:
-        _train_and_show(command, run, trainer, before)
-    else:
+    if log is None:
         trainer.train(run.budget, lambda result: None)
+        return
+    run.lock.check()
+    if command.resume:
+        log.resume_at(trainer.state.iteration)
+    else:
+        write_config(run.folder, run.config, before)  # last, so that a start that failed leaves the folder free
+    _train_and_show(command, run, trainer, log)
 
 
 def _build(run: _Run) -> ArriveEnv:
@@ -102,13 +110,9 @@ def _build(run: _Run) -> ArriveEnv:
         )
 
 
-def _train_and_show(command: Train, run: _Run, trainer: Trainer, before: int) -> None:
+def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog) -> None:
     """Train with the display, the log and the curves."""
-    config, folder, log = run.config, run.folder, RunLog(run.folder)
-    if command.resume:
-        log.resume_at(trainer.state.iteration)
-    else:
-        write_config(folder, config, before)  # last, so that a start that failed leaves the folder free
+    config, folder = run.config, run.folder
 
     def before_save() -> None:
         run.lock.check()

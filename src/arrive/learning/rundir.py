@@ -49,18 +49,26 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
     try:
         if folder is None:
             return _new_folder(config)
-        for name in (CHECKPOINT_NAME, POLICY_NAME, LOG_NAME):
-            if (folder / name).exists():
-                raise ArriveError(
-                    f"{folder} already holds a run ({name}); continue it with --resume {folder}, "
-                    f"or choose another folder"
-                )
+        check_free(folder)
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK):
             raise PermissionError("permission denied")
     except OSError as error:
         raise ArriveError(f"cannot write to the run folder {folder or RUNS}: {error.strerror or error}") from error
     return folder
+
+
+def check_free(folder: Path) -> None:
+    """Make sure that nothing in a folder was learnt.
+
+    Raises:
+        ArriveError: it holds a run.
+    """
+    for name in (CHECKPOINT_NAME, POLICY_NAME, LOG_NAME):
+        if (folder / name).exists():
+            raise ArriveError(
+                f"{folder} already holds a run ({name}); continue it with --resume {folder}, or choose another folder"
+            )
 
 
 def _new_folder(config: Config) -> Path:
