@@ -2,7 +2,8 @@
 
     python scripts/campaign.py --minutes 150 --runs 2 --threads 1
 
-Each run of the queue is a run folder under `policies/`. The first unfinished ones that have begun or whose start is
+Each run of the queue is a run folder under `policies/`, and one campaign at a time works on a queue; when it is killed,
+the trainings that it has begun save and end. The first unfinished ones that have begun or whose start is
 finished are trained for a slice of time, as many beside each other as wished, again and again until the minutes are
 spent; Ctrl-C ends them after the iteration in progress. Runs of one thread beside each other make more samples than one
 run in several processes, and that more than one process of several threads. What has all its samples, or is named by
@@ -10,8 +11,11 @@ run in several processes, and that more than one process of several threads. Wha
 `results/table1.md` then has the paper's Table I beside every policy that was measured.
 """
 
-import json
+import ctypes
 import math
+import os
+import re
+import signal
 import subprocess
 import sys
 import threading
@@ -21,20 +25,27 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
 from arrive.config import Config
 from arrive.errors import ArriveError, unknown_name
 from arrive.evaluation.difficulty import DIFFICULTY_NAME
+from arrive.files import read_json, read_text, write_text
 from arrive.learning.checkpoint import CHECKPOINT_NAME
-from arrive.learning.logs import LOG_NAME, read_log
+from arrive.learning.run_files import read_progress
+from arrive.lock import Lock
 from arrive.recipe import make_config
 from arrive.report.records import Run, read_run
 from arrive.report.table import LIMITS, make_table
 from arrive.terrain import parse_families
 
 ROOT = Path(__file__).resolve().parent.parent
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+"""What a run may be called: its folder's name, which cannot lead elsewhere."""
+PR_SET_PDEATHSIG = 1
+"""Linux's prctl: the signal that a process gets when its parent dies."""
 LEAST_MINUTES = 1.0
 """A slice shorter than this is not begun."""
 
@@ -98,26 +109,61 @@ def read_queue(path: Path) -> list[Entry]:
     """The queue, in order.
 
     Raises:
-        ArriveError: it cannot be read, has unknown keys, or a run starts from what is neither in the queue nor a run.
+        ArriveError: it cannot be read, has unknown keys, a name that is not one of a folder or not its own, or a run
+            starts from what is neither in the queue nor a run, or in the end from itself.
     """
     try:
-        entries = [Entry(**row | {"set": tuple(row.get("set", ()))}) for row in tomllib.loads(path.read_text())["run"]]
-    except (OSError, tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        rows = tomllib.loads(read_text(path))["run"]
+        entries = [_entry(row) for row in rows]
+    except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
         raise ArriveError(f"{path} is not a queue of runs: {error}") from error
-    names = {entry.name for entry in entries}
+    starts: dict[str, str | None] = {}
+    for entry in entries:
+        if entry.name in starts:
+            raise ArriveError(f"{path}: {entry.name} is listed more than once")
+        starts[entry.name] = entry.start_from
     for entry in entries:
         start = entry.start_from
-        if start is not None and start not in names and not (ROOT / start / CHECKPOINT_NAME).exists():
+        if start is not None and start not in starts and not (ROOT / start / CHECKPOINT_NAME).exists():
             raise ArriveError(f"{path}: {entry.name} starts from {start!r}, neither in the queue nor a run's folder")
+        _check_ends(entry.name, starts, path)
     return entries
 
 
+def _entry(row: dict[str, Any]) -> Entry:
+    """One run from its table.
+
+    Raises:
+        TypeError, ValueError: an unknown key or a value that makes no sense.
+    """
+    entry = Entry(**row | {"set": tuple(row.get("set", ()))})
+    if not isinstance(entry.name, str) or not NAME.fullmatch(entry.name):
+        raise ValueError(f"a run's name must be letters, digits, - and _, not {entry.name!r}")
+    if isinstance(entry.million_samples, bool) or not 0 < entry.million_samples < math.inf:
+        raise ValueError(f"million_samples of {entry.name} must be positive, not {entry.million_samples!r}")
+    if not all(isinstance(text, str) for text in (entry.terrain, *entry.set)) or type(entry.seed) is not int:
+        raise ValueError(f"terrain and set of {entry.name} must be text, its seed a whole number")
+    start = entry.start_from
+    if start is not None and (not start or Path(start).is_absolute() or ".." in Path(start).parts):
+        raise ValueError(f"start_from of {entry.name} must be a run or a folder of this checkout, not {start!r}")
+    if entry.processes is not None and (type(entry.processes) is not int or entry.processes < 1):
+        raise ValueError(f"processes of {entry.name} must be at least 1, not {entry.processes!r}")
+    return entry
+
+
+def _check_ends(name: str, starts: dict[str, str | None], path: Path) -> None:
+    """Make sure that the chain of starts from a run ends."""
+    chain = [name]
+    while (start := starts.get(chain[-1])) is not None:
+        if start in chain:
+            raise ArriveError(f"{path}: runs start from each other in a circle: {' <- '.join([*chain, start])}")
+        chain.append(start)
+
+
 def trained(folder: Path) -> tuple[int, float]:
-    """Iterations and minutes that a run folder has behind it."""
-    if not (folder / CHECKPOINT_NAME).exists() or not (folder / LOG_NAME).exists():
-        return 0, 0.0
-    log = read_log(folder)
-    return int(log["iteration"][-1]), log["progress/elapsed_s"][-1] / 60.0
+    """Iterations and minutes that a run's checkpoint has behind it."""
+    progress = read_progress(folder)
+    return progress.iteration, progress.minutes
 
 
 def measured(folder: Path) -> bool:
@@ -125,7 +171,8 @@ def measured(folder: Path) -> bool:
     path = folder / DIFFICULTY_NAME
     if not path.exists():
         return False
-    return json.loads(path.read_text())["policy"]["samples"] == read_log(folder)["progress/samples"][-1]
+    policy = read_json(path).get("policy")
+    return isinstance(policy, dict) and policy.get("samples") == read_progress(folder).samples
 
 
 class Campaign:
@@ -256,8 +303,7 @@ class Campaign:
         folders = [self.folder(entry.name) for entry in self._entries]
         runs = [read_run(folder) for folder in folders if (folder / DIFFICULTY_NAME).exists()]
         if runs:
-            self._arguments.table.parent.mkdir(parents=True, exist_ok=True)
-            self._arguments.table.write_text(table_text(runs))
+            write_text(self._arguments.table, table_text(runs))
 
 
 def table_text(runs: Sequence[Run]) -> str:
@@ -295,14 +341,21 @@ def _wait(worker: Future) -> None:
 
 
 def run(arguments: Arguments, arrive: Arrive, clock: Callable[[], float] = time.monotonic) -> None:
-    """Train until the minutes are spent or the queue is done, then measure."""
+    """Train until the minutes are spent or the queue is done, then measure.
+
+    Raises:
+        ArriveError: another campaign works on the queue, or a command fails.
+    """
     campaign = Campaign(arguments, arrive, clock)
-    campaign.spend()
-    campaign.measure()
+    path = arguments.queue.with_suffix(".lock")
+    with Lock(path, f"the queue {arguments.queue}") as lock:
+        os.set_inheritable(lock.handle, True)  # the trainings hold it too: it is free when the last of them has ended
+        campaign.spend()
+        campaign.measure()
 
 
 def command_line(processes: int, *arguments: object) -> None:
-    """Run `arrive` with these arguments in a process of its own, or in several.
+    """Run `arrive` with these arguments in a process of its own, or in several; they end with this one.
 
     It runs at the root of the checkout and is given paths from there, so that its record of the command holds anywhere.
 
@@ -312,8 +365,21 @@ def command_line(processes: int, *arguments: object) -> None:
     words = [str(a.relative_to(ROOT) if isinstance(a, Path) and a.is_relative_to(ROOT) else a) for a in arguments]
     torchrun = ("torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", "-m")
     launcher = torchrun if processes > 1 else ()
-    if subprocess.run([sys.executable, "-m", *launcher, "arrive.cli", *words], cwd=ROOT).returncode:
+    command = [sys.executable, "-m", *launcher, "arrive.cli", *words]
+    if subprocess.run(command, cwd=ROOT, close_fds=False, preexec_fn=_end_with(os.getpid())).returncode:
         raise ArriveError(f"arrive {' '.join(words)} failed")
+
+
+def _end_with(parent: int) -> Callable[[], None]:
+    """For a new process: get SIGTERM, which saves and ends a training, when the process that began it dies."""
+    prctl = ctypes.CDLL(None).prctl
+
+    def prepare() -> None:
+        prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:  # it died before
+            os._exit(1)
+
+    return prepare
 
 
 if __name__ == "__main__":

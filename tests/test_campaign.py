@@ -1,5 +1,6 @@
 """The training queue: order, slices, exact continuation, and what is measured when."""
 
+import contextlib
 import importlib.util
 import json
 import math
@@ -18,8 +19,12 @@ import torch
 
 from arrive.cli import main
 from arrive.errors import ArriveError
-from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.checkpoint import CHECKPOINT_NAME, Origin, save_sealed
 from arrive.learning.logs import LOG_NAME, read_log
+from arrive.learning.run_files import read_progress
+from arrive.learning.rundir import LOCK_NAME
+from arrive.lock import Lock
+from arrive.presets import robust
 from arrive.report.records import read_run
 
 ROOT = Path(__file__).parent.parent
@@ -42,6 +47,14 @@ set = ["ppo.gamma=0.99"]
 ITERATIONS_PER_MINUTE = 4
 
 
+def write_checkpoint(folder: Path, iteration: int, minutes: float = 0.0) -> None:
+    """The checkpoint of a run so far, of 12,288 samples per iteration."""
+    schema = [{"name": "height", "start": 0, "stop": 1}]
+    origin = Origin("anymal_c", robust(), schema, "abc", iteration, 12_288 * iteration).content()
+    state = {"elapsed_s": 60.0 * minutes, "algorithm": {"actor_state_dict": {"weight": torch.ones(1)}}}
+    save_sealed(origin | {"state": state}, folder / CHECKPOINT_NAME)
+
+
 class FakeArrive:
     """Trains at a fixed pace, on a clock of its own."""
 
@@ -62,9 +75,7 @@ class FakeArrive:
         minutes += (total - iterations) / ITERATIONS_PER_MINUTE
         self.minutes += (total - iterations) / ITERATIONS_PER_MINUTE
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / CHECKPOINT_NAME).touch()
-        columns = "iteration,progress/samples,progress/elapsed_s"
-        (folder / LOG_NAME).write_text(f"{columns}\n{total},{12_288.0 * total},{60.0 * minutes}\n")
+        write_checkpoint(folder, total, minutes)
 
     def clock(self) -> float:
         return 60.0 * self.minutes
@@ -190,8 +201,9 @@ def test_a_training_that_fails_ends_those_beside_it_after_their_slice(tmp_path):
         campaign.run(replace(arguments(tmp_path, 5.0), runs=0), arrive, arrive.clock)
 
 
-def test_an_interrupted_campaign_loses_no_iteration(tmp_path):
-    """Ctrl-C reaches the campaign and the training that it waits for, whose iterations take a second or more."""
+@pytest.fixture
+def training_campaign(tmp_path):
+    """A campaign in a process group of its own, in the middle of training the run `a` in iterations of a second."""
     small = '["ppo.hidden=[8]", "ppo.num_steps=24", "terrain.variants=1", "num_envs=1024"]'
     queue = tmp_path / "queue.toml"
     queue.write_text(f'[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nset = {small}\n')
@@ -199,18 +211,48 @@ def test_an_interrupted_campaign_loses_no_iteration(tmp_path):
     words = [sys.executable, ROOT / "scripts" / "campaign.py", *options]
     process = Popen(words, stdout=PIPE, stderr=STDOUT, text=True, start_new_session=True)
     try:
-        log = tmp_path / "a" / LOG_NAME
-        deadline = time.monotonic() + 120.0
-        while time.monotonic() < deadline and not (log.exists() and log.read_text().count("\n") > 2):
-            time.sleep(0.1)
-        os.killpg(process.pid, signal.SIGINT)
-        said, _ = process.communicate(timeout=60.0)
+        wait_until(lambda: (log := tmp_path / "a" / LOG_NAME).exists() and log.read_text().count("\n") > 2)
+        yield process
     finally:
-        if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-    assert process.returncode == 0, said
-    checkpoint = torch.load(tmp_path / "a" / CHECKPOINT_NAME, weights_only=True)
-    assert checkpoint["iteration"] == read_log(tmp_path / "a")["iteration"][-1] > 1
+        process.communicate()
+
+
+def wait_until(condition) -> None:
+    deadline = time.monotonic() + 240.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_an_interrupted_campaign_loses_no_iteration(tmp_path, training_campaign):
+    """Ctrl-C reaches the campaign and the training that it waits for, whose iterations take a second or more."""
+    os.killpg(training_campaign.pid, signal.SIGINT)
+    said, _ = training_campaign.communicate(timeout=240.0)
+    assert training_campaign.returncode == 0, said
+    assert read_progress(tmp_path / "a").iteration == read_log(tmp_path / "a")["iteration"][-1] > 1
+
+
+def test_a_killed_campaign_ends_what_it_trains(tmp_path, training_campaign):
+    """SIGKILL of the campaign alone: its training saves and ends, and only then is the queue free."""
+    training_campaign.kill()
+    training_campaign.wait()
+    run, queue = (Lock(path, "it") for path in (tmp_path / "a" / LOCK_NAME, tmp_path / "queue.lock"))
+    with pytest.raises(ArriveError, match="in use"):
+        queue.acquire()
+    wait_until(lambda: not run.path.exists())
+    wait_until(lambda: acquired(queue))
+    queue.release()
+    assert read_progress(tmp_path / "a").iteration == read_log(tmp_path / "a")["iteration"][-1] > 1
+
+
+def acquired(lock: Lock) -> bool:
+    try:
+        lock.acquire()
+    except ArriveError:
+        return False
+    return True
 
 
 def test_an_unfinished_run_is_measured_where_it_is_named(tmp_path):
@@ -226,10 +268,10 @@ def test_an_unfinished_run_is_measured_where_it_is_named(tmp_path):
 
 def test_a_measurement_holds_for_the_samples_that_it_was_made_with(tmp_path):
     assert not campaign.measured(tmp_path)
-    (tmp_path / LOG_NAME).write_text("iteration,progress/samples\n1,100.0\n2,200.0\n")
-    (tmp_path / "difficulty.json").write_text('{"policy": {"samples": 100}}')
+    write_checkpoint(tmp_path, 2)
+    (tmp_path / "difficulty.json").write_text('{"policy": {"samples": 12288}}')
     assert not campaign.measured(tmp_path)
-    (tmp_path / "difficulty.json").write_text('{"policy": {"samples": 200}}')
+    (tmp_path / "difficulty.json").write_text('{"policy": {"samples": 24576}}')
     assert campaign.measured(tmp_path)
 
 
@@ -244,7 +286,7 @@ def test_processes_share_the_robots_of_a_run(tmp_path, monkeypatch):
     assert call[call.index("--iterations") + 1] == str(math.ceil(1e6 / 2048))
     launched = []
     monkeypatch.setattr(
-        campaign.subprocess, "run", lambda words, cwd: launched.append(words) or CompletedProcess(words, 0)
+        campaign.subprocess, "run", lambda words, **options: launched.append(words) or CompletedProcess(words, 0)
     )
     campaign.command_line(2, *call)
     assert "--nproc-per-node=2" in launched[0]
@@ -280,12 +322,20 @@ def test_a_run_may_start_from_a_folder_outside_the_queue(tmp_path):
 def test_the_record_of_a_command_names_no_place_of_this_machine(monkeypatch, tmp_path):
     calls = []
     monkeypatch.setattr(
-        campaign.subprocess, "run", lambda words, cwd: calls.append((words, cwd)) or CompletedProcess(words, 1)
+        campaign.subprocess,
+        "run",
+        lambda words, cwd, **options: calls.append((words, cwd)) or CompletedProcess(words, 1),
     )
     with pytest.raises(ArriveError, match=r"arrive eval policies/gap --episodes 5 .* failed"):
         campaign.command_line(1, "eval", ROOT / "policies" / "gap", "--episodes", 5, "--json", tmp_path)
     ((words, cwd),) = calls
     assert (words[3:], cwd) == (["eval", "policies/gap", "--episodes", "5", "--json", str(tmp_path)], ROOT)
+
+
+def entry(name: str, start: str | None = None, samples: str = "1.0") -> str:
+    """A run of the queue."""
+    begins = "" if start is None else f'start_from = "{start}"\n'
+    return f'[[run]]\nname = "{name}"\nterrain = "flat"\nmillion_samples = {samples}\n{begins}'
 
 
 @pytest.mark.parametrize(
@@ -295,6 +345,22 @@ def test_the_record_of_a_command_names_no_place_of_this_machine(monkeypatch, tmp
         ('[[run]]\nname = "a"\nterrain = "flat"\n', "not a queue"),
         ('[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nstart_from = "b"\n', "neither in the queue"),
         ('[[run]]\nname = "a"\nterrain = "nowhere"\nmillion_samples = 1.0\n', "nowhere"),
+        (entry(""), "a run's name must be"),
+        (entry("/tmp/evil"), "a run's name must be"),
+        (entry("../../evil"), "a run's name must be"),
+        (entry(".."), "a run's name must be"),
+        (entry("a/b"), "a run's name must be"),
+        (entry("a") + entry("a"), "a is listed more than once"),
+        (entry("a", "a"), "in a circle: a <- a"),
+        (entry("a", "b") + entry("b", "c") + entry("c", "a"), "in a circle: a <- b <- c <- a"),
+        (entry("a", ""), "start_from of a must be"),
+        (entry("a", "/tmp/run"), "start_from of a must be"),
+        (entry("a", "policies/../../run"), "start_from of a must be"),
+        (entry("a", samples="-1.0"), "must be positive"),
+        (entry("a", samples="nan"), "must be positive"),
+        (entry("a") + "seed = 1.5", "its seed a whole number"),
+        (entry("a") + "set = [3]", "must be text"),
+        (entry("a") + "processes = 0", "at least 1"),
     ],
 )
 def test_a_bad_queue_is_refused_before_anything_is_trained(tmp_path, queue, message):
@@ -302,6 +368,33 @@ def test_a_bad_queue_is_refused_before_anything_is_trained(tmp_path, queue, mess
     with pytest.raises(ArriveError, match=message):
         campaign.run(arguments(tmp_path, 5.0, queue), arrive)
     assert not arrive.calls
+
+
+def test_a_run_is_finished_by_its_checkpoint_not_by_its_log(tmp_path):
+    """Killed after rows that no checkpoint has: the rows are dropped, and the run is not finished."""
+    folder = tmp_path / "policies" / "flat"
+    write_checkpoint(folder, 5)
+    (folder / LOG_NAME).write_text("iteration,progress/samples,progress/elapsed_s\n9,110592.0,60.0\n")
+    assert campaign.trained(folder)[0] == 5
+    arrive = FakeArrive()
+    campaign.run(arguments(tmp_path, 1000.0, entry("flat", samples="0.1")), arrive, arrive.clock)
+    assert "--resume" in arrive.calls[0]
+    assert campaign.trained(folder)[0] == 9
+    (folder / CHECKPOINT_NAME).write_bytes(b"damaged")
+    with pytest.raises(ArriveError, match="cannot read"):
+        campaign.trained(folder)
+
+
+def test_one_campaign_at_a_time_works_on_a_queue(tmp_path):
+    arrive, asked = FakeArrive(), arguments(tmp_path, 5.0)
+    with (
+        Lock(asked.queue.with_suffix(".lock"), "the queue"),
+        pytest.raises(ArriveError, match=r"the queue .*queue\.toml is in use by process"),
+    ):
+        campaign.run(asked, arrive, arrive.clock)
+    assert not arrive.calls
+    campaign.run(asked, arrive, arrive.clock)
+    assert arrive.calls
 
 
 def test_the_queue_that_is_committed_can_be_read():

@@ -1,6 +1,6 @@
 """The files from which a training goes on: written together, read back into the very same state."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,31 @@ def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: P
     origin = Origin(config.robot, config, schema, commit(), snapshot.iteration, snapshot.samples).content()
     save_sealed(origin | {"state": vars(snapshot) | {"others": others}}, folder / CHECKPOINT_NAME)
     save_sealed(origin | {"actor": state.algorithm.get_policy().state_dict()}, folder / POLICY_NAME)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run's checkpoint has come."""
+
+    iteration: int = 0
+    samples: int = 0
+    minutes: float = 0.0
+
+
+def read_progress(folder: Path) -> Progress:
+    """How far a run is, by its checkpoint alone; nothing where there is none.
+
+    Raises:
+        ArriveError: the checkpoint is damaged.
+    """
+    path = folder / CHECKPOINT_NAME
+    if not path.exists():
+        return Progress()
+    origin, state = load_checkpoint(path)
+    try:
+        return Progress(origin.iteration, origin.samples, float(state["elapsed_s"]) / 60.0)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ArriveError(f"{path} does not say how long it was trained; it was not written by arrive") from error
 
 
 def resume_run(state: TrainingState, config: Config, folder: Path, ranks: Ranks) -> None:
