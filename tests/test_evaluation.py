@@ -17,7 +17,7 @@ from arrive.evaluation.arrival import Arrival, Cell, cells_of, evaluate
 from arrive.learning.policy import Policy
 from arrive.presets import get_preset
 from arrive.terrain import get_family
-from arrive.terrain.pool import EVALUATION_SEED_OFFSET
+from arrive.terrain.levels import EVALUATION_SEED_OFFSET
 
 CONFIG = override(
     get_preset("paper"),

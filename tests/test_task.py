@@ -20,7 +20,7 @@ from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
 from arrive.task.task import Start, Trial
 from arrive.terrain import FAMILIES, build_tile
-from arrive.terrain.pool import stack_rasters
+from arrive.terrain.rasters import stack_rasters
 from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_index
 
 MANY = 20_000

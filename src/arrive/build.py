@@ -1,6 +1,6 @@
 """Puts an environment together from a configuration."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -11,11 +11,12 @@ from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
+from arrive.physics.pool import Spread, TileSet, build_pool
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
 from arrive.task.task import Cruise, Trial
 from arrive.terrain import Layout, get_family
-from arrive.terrain.pool import build_pool, level_values
+from arrive.terrain.levels import level_values
 from arrive.validate import validate
 
 
@@ -58,17 +59,19 @@ def build_env(
     validate(config)
     network = motor_network(config.physics)  # before the worlds, so that a bad file is told at once
     robot = get_robot(config.robot)
-    families = [get_family(name) for name in config.terrain.families]
+    families = tuple(get_family(name) for name in config.terrain.families)
     for name in config.terrain.shares:
         get_family(name)
     if config.num_envs < len(families):
         raise ArriveError(f"num_envs is {config.num_envs}, fewer than the {len(families)} terrain families")
-    values: Sequence[Sequence[float]] = placement.values or [level_values(f, config.terrain.levels) for f in families]
+    values = placement.values or tuple(level_values(family, config.terrain.levels) for family in families)
     seed = config.seed + placement.seed_offset
     if device is None:
         device = "cpu" if placement.assignment is None else placement.assignment[0].device
     device = torch.device(device)
-    pool = build_pool(config, robot, families, values, placement.layout, seed, progress).to(device)
+    tile_set = TileSet(families, values, placement.layout, config.terrain.variants)
+    spread = Spread(config.randomisation.friction, config.randomisation.payload_kg)
+    pool = build_pool(robot, tile_set, spread, config.physics, seed, progress).to(device)
     physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device, network)
     generator = torch.Generator(device).manual_seed(seed)
     task = get_task(config.task.name)(config, pool.rasters, generator, placement.trial)

@@ -10,6 +10,7 @@ from torch import Tensor
 from arrive.config import Config
 from arrive.errors import ArriveError, unknown_name
 from arrive.physics.engine import Physics, Readings
+from arrive.physics.pool import WorldPool
 from arrive.robots.robot import Robot
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
 from arrive.task.feet import follow_feet
@@ -19,7 +20,6 @@ from arrive.task.rewards import CRASH_COST, EXPLORATION_REWARDS
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.task.state import State
 from arrive.task.task import Outcome, Start, Task
-from arrive.terrain.pool import TerrainPool
 
 SPAWN_CLEARANCE = 0.06
 """Robots start this much above standing height: the random start pose may stretch their legs [m]."""
@@ -65,7 +65,7 @@ class ArriveEnv(VecEnv):
         self,
         config: Config,
         robot: Robot,
-        pool: TerrainPool,
+        pool: WorldPool,
         physics: Physics,
         task: Task,
         generator: torch.Generator,

@@ -19,7 +19,7 @@ from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.task.task import Trial
 from arrive.terrain import Family, Layout
-from arrive.terrain.pool import EVALUATION_SEED_OFFSET, level_values
+from arrive.terrain.levels import EVALUATION_SEED_OFFSET, level_values
 
 MAX_ENVS = 2000
 """Robots simulated at a time."""

@@ -15,7 +15,7 @@ from arrive.learning.rundir import commit
 from arrive.task.task import Trial
 from arrive.terrain import Family
 from arrive.terrain.build import EVALUATION_TARGET
-from arrive.terrain.pool import level_values
+from arrive.terrain.levels import level_values
 
 TRIAL = Trial(duration_s=8.0, target=EVALUATION_TARGET, speed=1.0, walk=4.0)
 """The paper's: 8 s, a target 5 m ahead for P_f and P_c, 1 m/s forward and 4 m to walk for V."""

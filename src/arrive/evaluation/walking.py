@@ -17,7 +17,7 @@ from arrive.task.final import FinalPositionTask
 from arrive.task.registry import get_task
 from arrive.task.task import Cruise
 from arrive.task.velocity import VelocityTask
-from arrive.terrain.pool import EVALUATION_SEED_OFFSET
+from arrive.terrain.levels import EVALUATION_SEED_OFFSET
 
 LEAD_M = 3.0
 """Distance at which the target stays ahead of a final-position policy (paper, section Energy Consumption) [m]."""

@@ -16,7 +16,7 @@ from arrive.errors import ArriveError
 from arrive.recipe import make_config
 from arrive.task.curriculum import deal_families
 from arrive.terrain import parse_families
-from arrive.terrain.pool import level_values
+from arrive.terrain.levels import level_values
 
 
 class ArriveVectorEnv(VectorEnv):

@@ -8,7 +8,7 @@ from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.task.final import FinalPositionTask
 from arrive.task.task import Cruise, Trial
-from arrive.terrain.pool import Rasters
+from arrive.terrain.rasters import Rasters
 
 
 class ContinuousPositionTask(FinalPositionTask):

@@ -11,7 +11,7 @@ from arrive.task.rewards import REWARDS, STALL_SPEED, RewardFunction, distance_t
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
 from arrive.task.task import Cruise, Outcome, Start, Trial
-from arrive.terrain.pool import Rasters
+from arrive.terrain.rasters import Rasters
 
 OBSTACLE_HEIGHT = 0.6
 """Ground this much above robot and target, on the line between them, is what the robot did not get around [m]."""

@@ -8,7 +8,7 @@ from torch import Tensor
 from arrive.config import TaskConfig
 from arrive.errors import ArriveError
 from arrive.task.heights import look_up
-from arrive.terrain.pool import Rasters
+from arrive.terrain.rasters import Rasters
 from arrive.terrain.tile import RASTER_HALF
 
 MAX_TRIES = 32

@@ -11,7 +11,7 @@ from arrive.robots.robot import Robot
 from arrive.task.observations import ObservationTerm
 from arrive.task.rewards import RewardFunction
 from arrive.task.state import State
-from arrive.terrain.pool import Rasters
+from arrive.terrain.rasters import Rasters
 
 
 @dataclass(frozen=True)

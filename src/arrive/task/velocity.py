@@ -18,7 +18,7 @@ from arrive.task.rewards import AIR_TIME_S, CRASH_COST, MOTION_COSTS, STALL_SPEE
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
 from arrive.task.task import Cruise, Outcome, Start, Trial
-from arrive.terrain.pool import Rasters
+from arrive.terrain.rasters import Rasters
 from arrive.terrain.tile import RASTER_HALF
 
 EPISODE_S = 20.0

@@ -1,0 +1,111 @@
+"""All tiles and worlds of a run, built once: environments only ever choose among them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from arrive.physics.options import PhysicsConfig
+from arrive.physics.world import compile_world
+from arrive.robots.robot import Robot
+from arrive.terrain import Family, Layout, Tile, build_tile
+from arrive.terrain.rasters import Rasters, stack_rasters
+
+
+@dataclass(frozen=True)
+class TileSet:
+    """What tiles a run has."""
+
+    families: tuple[Family, ...]
+    values: tuple[tuple[float, ...], ...]
+    """Parameters to build for each family, easiest first."""
+    layout: Layout
+    variants: int
+    """Worlds per family and level."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What differs between worlds of one tile: dealt to worlds, because a robot draws a new one at each reset."""
+
+    friction: tuple[float, float]
+    """Sliding friction of every contact, uniform."""
+    payload_kg: tuple[float, float]
+    """Mass added to the base, uniform [kg]."""
+
+
+@dataclass(frozen=True)
+class WorldPool:
+    """Worlds by family, level and variant."""
+
+    families: tuple[Family, ...]
+    values: tuple[tuple[float, ...], ...]
+    """Physical parameter of each level of each family; a family without one has a single level."""
+    worlds: tuple[mujoco.MjModel, ...]
+    world_index: Tensor
+    """(families, levels, variants) index into `worlds`; levels a family lacks repeat its last one."""
+    tile_of_world: Tensor
+    """(worlds,) index into the rasters."""
+    rasters: Rasters
+    tiles: tuple[Tile, ...]
+    """The tiles themselves; their rasters are views of `rasters`."""
+
+    @property
+    def num_levels(self) -> tuple[int, ...]:
+        """Number of levels of each family."""
+        return tuple(len(values) for values in self.values)
+
+    def to(self, device: torch.device) -> "WorldPool":
+        """The pool with what the environment looks up on a device; worlds and tiles stay in the CPU's memory."""
+        return replace(
+            self,
+            rasters=self.rasters.to(device),
+            world_index=self.world_index.to(device),
+            tile_of_world=self.tile_of_world.to(device),
+        )
+
+
+def build_pool(
+    robot: Robot,
+    tile_set: TileSet,
+    spread: Spread,
+    physics: PhysicsConfig,
+    seed: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> WorldPool:
+    """Build every tile and compile every world of a run.
+
+    Args:
+        progress: told worlds compiled so far and their number.
+    """
+    rng = np.random.default_rng(seed)
+    tiles: list[Tile] = []
+    worlds: list[mujoco.MjModel] = []
+    tile_of_world: list[int] = []
+    most = max(len(levels) for levels in tile_set.values)
+    total = tile_set.variants * sum(len(levels) for levels in tile_set.values)
+    index = torch.zeros(len(tile_set.families), most, tile_set.variants, dtype=torch.long)
+    for f, (family, levels) in enumerate(zip(tile_set.families, tile_set.values, strict=True)):
+        for level, value in enumerate(levels):
+            for variant in range(tile_set.variants):
+                if variant == 0 or family.random:
+                    tiles.append(build_tile(family, value, rng, tile_set.layout))
+                index[f, level, variant] = len(worlds)
+                tile_of_world.append(len(tiles) - 1)
+                friction, payload = rng.uniform(*spread.friction), rng.uniform(*spread.payload_kg)
+                worlds.append(compile_world(robot, tiles[-1], physics, friction, payload))
+                progress(len(worlds), total)
+        index[f, len(levels) :] = index[f, len(levels) - 1]
+    rasters = stack_rasters(tiles)
+    return WorldPool(
+        families=tile_set.families,
+        values=tile_set.values,
+        worlds=tuple(worlds),
+        world_index=index,
+        tile_of_world=torch.tensor(tile_of_world),
+        rasters=rasters,
+        tiles=tuple(rasters.shared_with(tile, i) for i, tile in enumerate(tiles)),
+    )
