@@ -1,6 +1,6 @@
 """Send a simulated robot to a place with the loop that would run on a real one.
 
-    python examples/simulated_robot.py [POLICY] [--terrain stairs] [--level 2] [--fast]
+    python examples/simulated_robot.py [POLICY] [--terrain stairs=0.1] [--fast]
 
 The clock, the state estimate and the height map are three functions: on a robot, put your own in their place. Sensors
 are noisy, the map is 0.1 s old and has holes. Without `--fast` the loop keeps to real time.
@@ -16,7 +16,8 @@ import numpy as np
 from arrive.config import Config, from_dict
 from arrive.deployment import Controller, HeightMap, Sensors, Target
 from arrive.policies import open_policy
-from arrive.simulation import SimulatedRobot, make_tile
+from arrive.simulation import SimulatedRobot
+from arrive.terrain.ground import ground_of
 
 DISTANCE_M, TIME_S, STAY_S = 3.0, 6.0, 2.0
 MAP_DELAY_STEPS, HOLES = 5, 0.05
@@ -47,13 +48,13 @@ def main(arguments: list[str] | None = None) -> float:
     """Returns the distance to the target at the end [m]."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("policy", nargs="?", help="run folder, exported file or name; the shipped one by default")
-    parser.add_argument("--terrain", default="flat")
-    parser.add_argument("--level", type=int, default=0)
+    parser.add_argument("--terrain", default="flat", help="a family, or NAME=VALUE")
+    parser.add_argument("--level", type=int, help="one of the policy's own levels")
     parser.add_argument("--fast", action="store_true", help="as fast as the machine can")
     options = parser.parse_args(arguments)
     policy = open_policy(options.policy)
     config = from_dict(Config, policy.meta["training"]["config"])
-    robot = SimulatedRobot(config, make_tile(options.terrain, options.level))
+    robot = SimulatedRobot(config, ground_of(options.terrain, options.level, config.terrain.levels).build())
     controller, recent = Controller(policy), deque(maxlen=MAP_DELAY_STEPS + 1)
     goal = Target((DISTANCE_M, 0.0, policy.task.target_height_m), arrive_at_s=TIME_S)
     steps, mode, start_s = round((TIME_S + STAY_S) / policy.period_s), "", time.monotonic()

@@ -22,8 +22,9 @@ from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.physics.world import compile_world
 from arrive.robots import get_robot
-from arrive.simulation import SimulatedRobot, make_tile
+from arrive.simulation import SimulatedRobot
 from arrive.terrain import FAMILIES, build_tile
+from arrive.terrain.ground import ground_of
 
 ROBOT = get_robot("anymal_c")
 DEFAULT = torch.tensor(ROBOT.default_joint_pos)
@@ -179,7 +180,7 @@ class TestSimulatedRobot:
         path = tmp_path / "drive.safetensors"
         write_network(path, lstm())
         config = Config(physics=replace(NETWORK, motor_file=str(path)))
-        robot, physics = SimulatedRobot(config, make_tile("flat")), engine(num_envs=1)
+        robot, physics = SimulatedRobot(config, ground_of("flat").build()), engine(num_envs=1)
         for _ in range(2):
             robot.reset()
             physics.reset(torch.arange(1), torch.from_numpy(robot.data.qpos[None].copy()), torch.zeros(1, 18).double())

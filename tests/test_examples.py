@@ -17,7 +17,8 @@ import ros2_stub
 from arrive.config import Config, from_dict
 from arrive.deployment import Controller, GridHeights, Sensors, Target
 from arrive.policies import DEFAULT, shipped_file
-from arrive.simulation import SimulatedRobot, make_tile
+from arrive.simulation import SimulatedRobot
+from arrive.terrain.ground import ground_of
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 POLICY = shipped_file(DEFAULT)
@@ -195,7 +196,7 @@ class RosRobot:
         self.node = load("ros2/arrive_node.py").ArriveNode()
         policy = self.node.controller.policy
         config = from_dict(Config, policy.meta["training"]["config"])
-        self.robot, self.names = SimulatedRobot(config, make_tile("flat")), policy.robot.joint_names
+        self.robot, self.names = SimulatedRobot(config, ground_of("flat").build()), policy.robot.joint_names
         self.commands, self.status = (self.node.publishers[name].sent for name in ("commands", "status"))
         (self.period_s, self.timer), *_ = self.node.timers
 
