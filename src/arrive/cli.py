@@ -1,7 +1,6 @@
 """The command line: `arrive train | eval | report | play | drive | export | verify | bench | actuator | list`."""
 
 import importlib
-import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ import tyro
 
 from arrive.commands.actuator import Actuator
 from arrive.errors import ArriveError
+from arrive.neighbours import wait_considerately
 
 DEBUG = "--debug"
 """Option of every command: problems show their traceback."""
@@ -285,8 +285,8 @@ def _one_line(error: BaseException) -> str:
 
 
 def _run(command: Command) -> None:
-    # Read when torch is loaded: its idle threads sleep instead of spinning on cores that other processes need.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    if getattr(command, "threads", 1) != 1:
+        wait_considerately()
     module, function = {
         Train: ("training", "train"),
         Eval: ("evaluation", "evaluate"),
