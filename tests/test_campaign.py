@@ -401,14 +401,6 @@ def test_one_campaign_at_a_time_works_on_a_queue(tmp_path):
     assert arrive.calls
 
 
-def test_the_queue_that_is_committed_can_be_read():
-    walk, generalist, *specialists = campaign.read_queue(ROOT / "scripts" / "campaign.toml")
-    assert (walk.name, generalist.name, generalist.terrain) == ("walk", "generalist", "all")
-    start = read_run(ROOT / generalist.start_from)
-    assert start.samples_before + start.samples + generalist.iterations * 1024 * 24 >= 100e6
-    assert {entry.terrain for entry in specialists} == {"stairs", "gap", "pit", "obstacles", "steps", "slope"}
-
-
 def train_a_little(folder: Path, iterations: int, *options: str) -> None:
     """So many iterations of 16 samples."""
     small = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.variants=1", "terrain.levels=2")

@@ -3,7 +3,6 @@
 import math
 import os
 import pickle
-import signal
 from random import Random
 
 import pytest
@@ -84,7 +83,11 @@ def test_a_sealed_file_stays_one_that_torch_can_read(tmp_path):
 def test_a_failure_of_torch_while_saving_leaves_the_old_file(tmp_path, monkeypatch):
     save_sealed(CONTENT, tmp_path / "policy.pt")
     before = (tmp_path / "policy.pt").read_bytes()
-    monkeypatch.setattr(checkpoint.torch, "save", lambda content, file: signal.raise_signal(signal.SIGINT))
+
+    def interrupted(content, file):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoint.torch, "save", interrupted)
     with pytest.raises(KeyboardInterrupt):
         save_sealed({}, tmp_path / "policy.pt")
     assert (tmp_path / "policy.pt").read_bytes() == before
