@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from arrive.evaluation.policy import Policy
 
 from arrive.commands.results import effort_of, keep_longer
 from arrive.config import override
@@ -17,6 +16,7 @@ from arrive.evaluation.estimate import Z, mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.walking import Heading, check_command, constant_command, walking_env
 from arrive.files import write_json
+from arrive.learning.policy import Policy
 from arrive.presets import get_preset
 from arrive.report.energy_chart import energy_figure
 from arrive.report.figure import svg_text

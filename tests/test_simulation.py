@@ -70,7 +70,9 @@ def test_a_control_step_lasts_20_ms_and_a_standing_robot_stays():
     robot.reset((1.0, -2.0), 0.5)
     standing(robot, 50)
     assert robot.time_s == pytest.approx(1.0)
-    np.testing.assert_allclose(robot.base_pos_w, [1.0, -2.0, robot.robot.standing_height], atol=0.02)
+    np.testing.assert_allclose(robot.base_pos_w[:2], [1.0, -2.0], atol=0.02)
+    # Under PD it sags by 3 cm, as in `test_robot.py`.
+    assert robot.base_pos_w[2] == pytest.approx(robot.robot.standing_height, abs=0.05)
     assert robot.yaw == pytest.approx(0.5, abs=0.02)
     assert not robot.crashed
     assert not robot.fell

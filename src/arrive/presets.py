@@ -62,7 +62,7 @@ def robust() -> Config:
 
 
 def joystick() -> Config:
-    """For a policy that is led by a stick: targets that change all the time, and pay for the speed that is asked for."""
+    """For a policy that a stick leads: targets that change all the time, and pay for the speed that is asked for."""
     config = robust()
     task = replace(
         config.task,

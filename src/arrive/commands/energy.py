@@ -15,9 +15,9 @@ from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
 from arrive.evaluation.energy import check_arguments, energy_content, measure_energy
-from arrive.learning.policy import Policy, load_policy
 from arrive.evaluation.walking import check_command
 from arrive.files import whole
+from arrive.learning.policy import Policy, load_policy
 from arrive.report.energy_chart import energy_figure
 
 if TYPE_CHECKING:

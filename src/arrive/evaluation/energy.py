@@ -12,8 +12,8 @@ from arrive.errors import ArriveError
 from arrive.evaluation.estimate import mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.playing import Pilot, Progress
-from arrive.learning.policy import Policy
 from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, walking_env
+from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 
 GRAVITY = 9.81

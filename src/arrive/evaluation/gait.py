@@ -14,8 +14,8 @@ from arrive.errors import ArriveError
 from arrive.evaluation.estimate import mean
 from arrive.evaluation.footfalls import NAMES, TOGETHER, Footfalls, circular, footfalls, gait_name, hildebrand, steady
 from arrive.evaluation.playing import Pilot, Progress
-from arrive.learning.policy import Policy
 from arrive.evaluation.walking import Heading, check_speeds, walking_env
+from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.robots.robot import Robot
 from arrive.task.rotation import yaw_of
