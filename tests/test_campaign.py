@@ -317,7 +317,7 @@ def test_robots_that_processes_cannot_share_evenly_are_refused(tmp_path):
 
 def test_a_run_may_start_from_a_folder_outside_the_queue(tmp_path):
     arrive = FakeArrive()
-    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nstart_from = "policies/walk"\n'
+    queue = '[[run]]\nname = "a"\nterrain = "flat"\nmillion_samples = 1.0\nstart_from = "before"\n'
     campaign.run(arguments(tmp_path, 5.0, queue), arrive, arrive.clock)
     (call,) = arrive.calls
     assert call[call.index("--start-from") + 1] == str(ROOT / "policies" / "walk")

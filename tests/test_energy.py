@@ -182,7 +182,7 @@ class TestCommand:
             state.base_pos_w = state.base_pos_w + torch.tensor([40.0, -3.0, 0.0])
             env.task.follow(state)
             assert not env.task.advance(0.02).any()
-            told.append(env.task.observation_terms(env.robot)[3].compute(state, command))
+            told.append(env.task.observation_terms(env.config, env.robot)[3].compute(state, command))
         ahead = env.task.command.target_w - env.state.base_pos_w if task != "velocity" else None
         assert ahead is None or ahead[0, :2].tolist() == pytest.approx([3.0, 0.0], abs=1e-4)
         assert torch.allclose(told[0], told[-1], atol=1e-4)

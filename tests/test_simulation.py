@@ -134,7 +134,8 @@ def test_the_height_map_is_what_training_looks_up(family):
 
 
 def test_continued_ground_goes_on_and_the_tile_itself_ends():
-    for tile, falls in ((FLAT, True), (continued(FLAT), False), (continued(ground_of("gap").build()), False)):
+    pit = ground_of("pit=0.3").build()
+    for tile, falls in ((pit, True), (continued(pit), False), (continued(ground_of("gap=0.5").build()), False)):
         robot = SimulatedRobot(CONFIG, tile)
         robot.reset((50.0, -30.0))
         standing(robot, 50)

@@ -229,7 +229,7 @@ class TestWorlds:
         assert bool(((heights[1] - heights[0]).abs() < tolerance).all()), heights
 
     def test_friction_and_payload_are_each_robots_own(self):
-        """A robot thrown along the ground slides farther where friction is low, as with MuJoCo within 1 %."""
+        """A robot thrown along the ground slides farther where friction is low, as with MuJoCo within 1.5 %."""
         config = PhysicsConfig()
         worlds = [world("flat", config, friction, payload) for friction in (0.3, 1.0) for payload in (-5.0, 5.0)]
         ways = []
@@ -242,7 +242,7 @@ class TestWorlds:
                 engine.step(DEFAULT.expand(4, 12))
             ways.append(engine.read().base_pos_w[:, 0])
         assert float(ways[0][:2].min()) > float(ways[0][2:].max()) + 0.05
-        torch.testing.assert_close(ways[1], ways[0], rtol=0.01, atol=0.0)
+        torch.testing.assert_close(ways[1], ways[0], rtol=0.015, atol=0.0)
 
 
 def ground(model: mujoco.MjModel, x: float) -> float:

@@ -18,6 +18,7 @@ from arrive.config import Config
 from arrive.env import ArriveEnv
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import RunLog
+from arrive.learning.schedule import settings_at
 from arrive.learning.threads import one_torch_thread
 from arrive.learning.trainer import Trainer
 from arrive.physics.cpu import CpuPhysics
@@ -119,6 +120,7 @@ class _Bench:
 
     def __init__(self, trainer: Trainer, env: ArriveEnv, log: RunLog, threads: int):
         self._trainer, self._env, self._log = trainer, env, log
+        self._settings = settings_at(trainer.config, spent=0.0, seeking=1.0)
         self._steps = trainer.config.ppo.num_steps
         self._samples = env.num_envs * self._steps
         self._engine = RawEngine(env.physics, trainer.config.physics, threads)
@@ -136,7 +138,7 @@ class _Bench:
         self._note("env", env_s)
         self.ratios.append(engine_s / env_s)
         self._note("collect", _seconds(self._trainer.collect))
-        self._note("update_samples_per_s", _seconds(self._trainer.learn))
+        self._note("update_samples_per_s", _seconds(lambda: self._trainer.learn(self._settings)))
         self._note("train_samples_per_s", _seconds(self._iterate))
 
     def _note(self, name: str, seconds: float) -> None:

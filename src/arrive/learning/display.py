@@ -136,7 +136,7 @@ def exploration_state(report: IterationReport) -> str:
         return "removed"
     where = "paid" if report.exploration_paid == 1.0 else f"paid to {_percent(report.exploration_paid)} of the robots"
     present, until = _percent(report.task_fraction), _percent(report.exploration_until)
-    return f"{where}, task reward at {present} of its maximum; removed at {until}"
+    return f"{where}, task reward at {present} of its maximum; until {until}"
 
 
 def level_bars(levels: tuple[int, ...], bars: str = BARS) -> Text:
