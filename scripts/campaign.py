@@ -100,7 +100,8 @@ class Arguments:
     """Per level, in a measurement."""
     also: tuple[str, ...] = ()
     """Unfinished runs to be measured at the end too, as they are by then."""
-    queue: Path = ROOT / "scripts" / "campaign.toml"
+    queue: Path = ROOT / "queue.toml"
+    """TOML file with one [[run]] per policy: name, terrain, million_samples, seed, set."""
     policies: Path = ROOT / "policies"
     table: Path = ROOT / "results" / "table1.md"
 

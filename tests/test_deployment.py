@@ -987,7 +987,7 @@ HOSTILE = {
     "zero grid step": (put("heights", "step_m", 0.0), "heights.step_m"),
     "a point elsewhere": (put("heights", "points_m", 5, [9.0, 9.0]), "no whole grid"),
     "no points": (put("heights", "points_m", []), "heights.points_m"),
-    "zero clip": (put("heights", "clip_m", 0.0), "heights.clip_m"),
+    "clips of one side": (put("heights", "clip_m", [0.1, 0.4]), "heights.clip_m"),
     "golden zeros": (
         edit("golden", lambda golden: golden.update({x: (0 * np.array(golden[x])).tolist() for x in GOLDEN})),
         "golden.observations are all the same",

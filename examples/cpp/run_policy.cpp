@@ -114,10 +114,11 @@ Vector term(const std::string& name, const Policy& policy, const State& state) {
   if (name == "joint_vel") return state.joint_vel;
   if (name == "action") return state.action;
   if (name == "heights") {
-    const double offset = policy.heights.at("offset_m"), clip = policy.heights.at("clip_m");
+    const double offset = policy.heights.at("offset_m");
+    const auto clip = policy.heights.at("clip_m").get<std::vector<double>>();
     Vector below;
     for (const double ground : state.heights_w)
-      below.push_back(std::clamp(state.base_pos_w[2] - offset - ground, -clip, clip));
+      below.push_back(std::clamp(state.base_pos_w[2] - offset - ground, clip.at(0), clip.at(1)));
     return below;
   }
   throw std::runtime_error("this program cannot provide the observation " + name);

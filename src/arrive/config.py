@@ -34,6 +34,9 @@ class ObservationConfig:
     """Height samples [m]."""
     height_scale: float = 5.0
     """The policy receives height samples times this [1/m]."""
+    height_clip: tuple[float, float] = (-1.0, 1.0)
+    """Relative heights are cut at these: how far above and how far below 0.5 m under the base ground is told apart [m].
+    What is deeper than any foot reaches should look the same, whether it is half a metre deep or two."""
     grid_length: float = 1.6
     """Extent of the height grid along the heading [m]."""
     grid_width: float = 1.0

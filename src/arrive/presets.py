@@ -36,7 +36,9 @@ def robust() -> Config:
         preset="robust",
         num_envs=1024,
         terrain=TerrainConfig(levels=30),
-        observation=ObservationConfig(height_scale=2.0, grid_length=2.0, grid_width=1.25, grid_step=0.125),
+        observation=ObservationConfig(
+            height_scale=2.0, height_clip=(-1.0, 0.4), grid_length=2.0, grid_width=1.25, grid_step=0.125
+        ),
         task=TaskConfig(
             episode_s=8.0,
             episode_min_s=5.0,

@@ -41,6 +41,8 @@ def _rules(config: Config) -> Iterator[tuple[str, object, str, bool]]:
     for name in ("stop_share", "crossing_share", "demotion_share"):
         yield f"task.{name}", getattr(task, name), "between 0 and 1", 0.0 <= getattr(task, name) <= 1.0
     yield "seed", config.seed, "0 or more", config.seed >= 0
+    low, high = config.observation.height_clip
+    yield "observation.height_clip", (low, high), "a height above 0 and one below", low < 0.0 < high
     for name in ("friction", "payload_kg"):
         low, high = getattr(config.randomisation, name)
         yield f"randomisation.{name}", (low, high), "a range from low to high", low <= high

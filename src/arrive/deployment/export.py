@@ -22,7 +22,7 @@ from arrive.learning.policy import Policy
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.heights import HeightGrid
-from arrive.task.observations import HEIGHT_CLIP, HEIGHT_OFFSET, Observer
+from arrive.task.observations import HEIGHT_OFFSET, Observer
 from arrive.task.registry import get_task
 
 OPSET, IR_VERSION = 17, 8
@@ -103,7 +103,7 @@ def describe(config: Config) -> dict[str, Any]:
             "points_m": [[round(x, 6) for x in point] for point in grid.points.tolist()],
             "step_m": config.observation.grid_step,
             "offset_m": HEIGHT_OFFSET,
-            "clip_m": HEIGHT_CLIP,
+            "clip_m": list(config.observation.height_clip),
         },
         "task": {
             "name": task.name,

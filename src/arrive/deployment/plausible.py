@@ -79,7 +79,9 @@ def check_robot(robot: RobotSpec) -> None:
 def check_grid(grid: GridSpec) -> None:
     """Make sure that the points are a whole regular grid, x slowest, both ascending."""
     step = positive("heights.step_m", grid.step_m, LARGEST_LENGTH_M)
-    positive("heights.clip_m", grid.clip_m, LARGEST_LENGTH_M)
+    low, high = ascending("heights.clip_m", grid.clip_m)
+    if not -LARGEST_LENGTH_M <= low < 0.0 < high <= LARGEST_LENGTH_M:
+        raise Implausible(f"heights.clip_m is {grid.clip_m!r}, not a depth above and one below")
     if abs(number("heights.offset_m", grid.offset_m)) > LARGEST_LENGTH_M:
         raise Implausible(f"heights.offset_m is {grid.offset_m!r}")
     if not isinstance(grid.points_m, list) or not grid.points_m:

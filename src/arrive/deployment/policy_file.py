@@ -13,7 +13,7 @@ from arrive.deployment.plausible import Implausible, check_golden, check_grid, c
 from arrive.deployment.specs import GridSpec, RobotSpec, TaskSpec, Term
 from arrive.errors import ArriveError
 
-FORMAT = 2
+FORMAT = 3
 """Version of the metadata's layout."""
 SECTIONS = ("format", "robot", "control", "observation", "heights", "task", "training", "evaluation", "golden")
 INPUT, OUTPUT = "observation", "action"

@@ -51,8 +51,8 @@ class GridSpec:
     step_m: float
     offset_m: float
     """Heights are relative to this far below the base, positive down."""
-    clip_m: float
-    """Relative heights are cut at plus and minus this."""
+    clip_m: list[float]
+    """Least and largest relative height: beyond them they are cut."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def _joints(policy: PolicyFile) -> int:
 def _heights(moment: Moment) -> np.ndarray:
     grid = moment.policy.grid
     below = moment.frame.base_pos_w[2] - grid.offset_m - moment.heights_w
-    return np.minimum(np.maximum(below, -grid.clip_m), grid.clip_m)
+    return np.minimum(np.maximum(below, grid.clip_m[0]), grid.clip_m[1])
 
 
 TERMS: dict[str, ObservedTerm] = {
@@ -87,7 +87,7 @@ TERMS: dict[str, ObservedTerm] = {
         lambda m: m.action,
     ),
     "heights": ObservedTerm(
-        "m", "heading", "clip(base z - offset - ground, -clip, clip) at the grid's points",
+        "m", "heading", "clip(base z - offset - ground, *clip) at the grid's points",
         lambda policy: len(policy.grid.points_m), _heights,
     ),
 }  # fmt: skip

@@ -15,8 +15,6 @@ from arrive.task.state import Command, State
 
 HEIGHT_OFFSET = 0.5
 """Heights are given relative to this far below the base (legged_gym) [m]."""
-HEIGHT_CLIP = 1.0
-"""Relative heights are cut at this [m]."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def around_command(
     """
     joints = robot.joint_names
     joint_maps = joint_mirror(robot), joint_reverse(robot)
-    grid = HeightGrid(config)
+    grid, clip = HeightGrid(config), config.height_clip
     cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
@@ -105,14 +103,14 @@ def around_command(
                         lambda s, c: s.joint_vel),
         ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, *joint_maps, lambda s, c: s.action),
         ObservationTerm("heights", "m", "heading, 0.5 m below the base, positive down", cells,
-                        config.height_scale, config.noise_heights, mirror_cells, reverse_cells, relative_heights),
+                        config.height_scale, config.noise_heights, mirror_cells, reverse_cells,
+                        lambda s, c: relative_heights(s).clamp(*clip)),
     )  # fmt: skip
 
 
-def relative_heights(state: State, command: Command) -> Tensor:
-    """(n, points) how far the ground lies below 0.5 m under the base, cut at 1 m either way [m]."""
-    below = state.base_pos_w[:, 2:3] - HEIGHT_OFFSET - state.heights_w
-    return below.clamp(-HEIGHT_CLIP, HEIGHT_CLIP)
+def relative_heights(state: State) -> Tensor:
+    """(n, points) how far the ground lies below the point `HEIGHT_OFFSET` under the base [m]."""
+    return state.base_pos_w[:, 2:3] - HEIGHT_OFFSET - state.heights_w
 
 
 class Observer:
