@@ -22,7 +22,7 @@ DEFAULT = "joystick"
 """The one that is run where none is named."""
 EXPORTED = ".onnx"
 TRAINED = Path(__file__).parents[3] / "policies"
-"""Run folders that `scripts/campaign.py` makes; an installed package has none."""
+"""Run folders of trained policies; an installed package has none."""
 
 
 def shipped_file(name: str) -> Path:

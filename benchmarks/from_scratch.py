@@ -1,0 +1,120 @@
+"""What one command makes from nothing: trains terrain families with several seeds and measures each by the protocol.
+
+    python benchmarks/from_scratch.py gap pit --seeds 1 2 3 --samples 30M
+    python benchmarks/from_scratch.py gap --set ppo.gamma=0.99 --out runs/gamma
+
+Given again, it goes on where it stopped. OUT/table.md and OUT/table.json say, for each run, what it solves, after how
+many samples its mean level of training rose by one, and how long it took.
+"""
+
+import csv
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+
+
+@dataclass
+class Arguments:
+    """What to train, for how long, and how to measure it."""
+
+    terrains: tyro.conf.Positional[tuple[str, ...]]
+    """Terrain families; several joined by commas make one policy."""
+    seeds: tuple[int, ...] = (1, 2, 3)
+    samples: str = "30M"
+    """Policy steps per run."""
+    set: tuple[str, ...] = ()
+    """Changed fields, for experiments; the recipe goes without."""
+    processes: int = 2
+    """Runs beside each other, one thread each."""
+    episodes: int = 500
+    """Per level, in the measurement."""
+    out: Path = Path("runs/from_scratch")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One policy to be made."""
+
+    terrain: str
+    seed: int
+    folder: Path
+
+
+def main(arguments: Arguments) -> None:
+    """Train and measure what is missing, then write the tables."""
+    runs = [
+        Run(name, seed, arguments.out / f"{name}-{seed}") for name in arguments.terrains for seed in arguments.seeds
+    ]
+    with ThreadPoolExecutor(arguments.processes) as pool:
+        rows = list(pool.map(lambda run: make(run, arguments), runs))
+    (arguments.out / "table.json").write_text(json.dumps({"arguments": vars(arguments), "runs": rows}, default=str))
+    (arguments.out / "table.md").write_text(table(rows))
+    print(table(rows))
+
+
+def make(run: Run, arguments: Arguments) -> dict[str, Any]:
+    """Train and measure one policy, and sum up what came of it."""
+    if (run.folder / CHECKPOINT_NAME).exists():
+        words = ("--resume", run.folder)
+    else:
+        words = ("--seed", run.seed, "--out", run.folder, *(("--set", *arguments.set) if arguments.set else ()))
+    arrive("train", run.terrain, "--samples", arguments.samples, "--threads", 1, *words)
+    measured = run.folder / "difficulty.json"
+    if not measured.exists():
+        options = ("--protocol", "difficulty", "--episodes", arguments.episodes, "--threads", 1, "--json", measured)
+        arrive("eval", run.folder, *options)
+    return summary(run, json.loads(measured.read_text()))
+
+
+def arrive(*arguments: object) -> None:
+    """Run the command line; what it prints is of no interest unless it fails."""
+    subprocess.run([sys.executable, "-m", "arrive", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
+
+
+def summary(run: Run, measured: dict[str, Any]) -> dict[str, Any]:
+    """What a run reached, from its log and its measurement."""
+    with (run.folder / "log.csv").open() as file:
+        log = list(csv.DictReader(file))
+    families = measured["families"]
+    return {
+        "terrain": run.terrain,
+        "seed": run.seed,
+        "samples": float(log[-1]["progress/samples"]),
+        "minutes": float(log[-1]["progress/elapsed_s"]) / 60.0,
+        "samples_to_level": {name: climb(log, f"level/{name}") for name in families if f"level/{name}" in log[0]},
+        "solved": {name: family["max_at_95"] for name, family in families.items()},
+        "success": {name: {row["value"]: row["success"] for row in f["levels"]} for name, f in families.items()},
+    }
+
+
+def climb(log: list[dict[str, str]], column: str) -> list[float]:
+    """Samples after which the mean level first reached 1, 2, 3 and so on."""
+    reached: list[float] = []
+    for row in log:
+        while row[column] and float(row[column]) >= len(reached) + 1:
+            reached.append(float(row["progress/samples"]))
+    return reached
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """One line per run and family, in Markdown."""
+    lines = ["| trained on | seed | samples | minutes | measured on | solved with 95 % | success |", "|" + "---|" * 7]
+    for row in rows:
+        for name, success in row["success"].items():
+            rates = ", ".join(f"{value:g}: {rate:.1%}" for value, rate in success.items())
+            budget = f"{row['samples'] / 1e6:.1f} M | {row['minutes']:.0f}"
+            solved = "-" if row["solved"][name] is None else f"{row['solved'][name]:g}"
+            lines.append(f"| {row['terrain']} | {row['seed']} | {budget} | {name} | {solved} | {rates} |")
+    return "\n".join([*lines, ""])
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))

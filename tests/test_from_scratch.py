@@ -1,0 +1,33 @@
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+FILE = Path(__file__).parent.parent / "benchmarks" / "from_scratch.py"
+TINY = ("num_envs=16", "ppo.num_steps=4", "ppo.hidden=[16]", "terrain.levels=2", "terrain.variants=1")
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    spec = importlib.util.spec_from_file_location("from_scratch", FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_it_trains_measures_and_goes_on_where_it_stopped(benchmark, tmp_path):
+    arguments = benchmark.Arguments(("flat",), (1, 2), "200", TINY, processes=1, episodes=2, out=tmp_path)
+    benchmark.main(arguments)
+    rows = json.loads((tmp_path / "table.json").read_text())["runs"]
+    assert [(row["terrain"], row["seed"], row["samples"]) for row in rows] == [("flat", 1, 256.0), ("flat", 2, 256.0)]
+    assert all(list(row["success"]) == ["flat"] for row in rows)
+    before = [path.stat().st_mtime_ns for path in sorted(tmp_path.glob("*/difficulty.json"))]
+    benchmark.main(arguments)
+    assert [path.stat().st_mtime_ns for path in sorted(tmp_path.glob("*/difficulty.json"))] == before
+    assert (tmp_path / "table.md").read_text().count("| flat | 1 | 0.0 M |") == 1
+
+
+def test_samples_to_each_level(benchmark):
+    log = [{"level/gap": x, "progress/samples": str(i)} for i, x in enumerate(["", "0.4", "1.1", "0.9", "3.2"])]
+    assert benchmark.climb(log, "level/gap") == [2.0, 4.0, 4.0]
