@@ -21,9 +21,10 @@ DEPTH = 2.0
 """Depth of a gap [m]: nothing can be stepped into."""
 NARROWEST = 0.02
 """Width of the first training level's gap [m]."""
-SHALLOWEST, DEPTH_PER_WIDTH = 0.03, 2.0
+SHALLOWEST, DEPTH_PER_WIDTH = 0.03, 4.0
 """Depth of that gap [m], and how much deeper training's gaps are per metre that they are wider, up to `DEPTH`: one of
-0.2 m is 0.39 m deep. Robots learn nothing from falling into a deep one; a foot that sinks into a groove tells them."""
+0.12 m is 0.43 m deep, deeper than any policy can tell. Robots learn nothing from falling into a deep one; a foot that
+sinks into a groove tells them."""
 FALL_HEIGHT = -0.5
 """A base this far below the edges cannot come back [m]."""
 EDGE_MARGIN = 0.35
