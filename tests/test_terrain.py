@@ -142,7 +142,7 @@ class TestParameterIsPhysical:
         assert len(edges) == (2 if layout == "training" and width < 0.65 else 1)
         assert not tile.target_valid[tile.heights < -0.02].any()
         assert not tile.crossing[tile.heights < -0.02].any()
-        depth = min(2.0, 0.03 + 2.0 * (width - 0.02)) if layout == "training" else 2.0
+        depth = min(2.0, 0.03 + 4.0 * (width - 0.02)) if layout == "training" else 2.0
         assert tile.heights.min() == pytest.approx(-depth)
         assert tile.fall_height < 0.0
 
