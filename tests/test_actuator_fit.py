@@ -24,7 +24,7 @@ from arrive.errors import ArriveError
 from arrive.robots import get_robot
 
 PERIOD = 0.005
-MOTOR = get_robot("anymal_c").motor
+MOTOR = get_robot("anymal_c").motors[0]
 DRIVE = SeriesElasticDrive()
 
 

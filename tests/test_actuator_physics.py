@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from actuator_networks import lstm, taps
-from arrive.actuation.clip import clip_torque, torque_limits
-from arrive.actuation.motor import motor_torque
+from arrive.actuation import motor_torque
+from arrive.actuation.clip import TorqueClip
 from arrive.actuation.network_file import write_network
 from arrive.actuation.runtime import make_runtime
 from arrive.config import Config, override
@@ -28,7 +28,7 @@ from arrive.terrain.ground import ground_of
 
 ROBOT = get_robot("anymal_c")
 DEFAULT = torch.tensor(ROBOT.default_joint_pos)
-MOTOR = ROBOT.motor
+MOTOR = ROBOT.motors[0]
 NETWORK = PhysicsConfig(motor="network", motor_file="drive.safetensors")
 MAKERS = {"lstm": lstm, "taps": taps}
 
@@ -69,7 +69,7 @@ def test_each_physics_step_has_the_torque_of_the_network_for_that_state(kind):
         physics.step(wanted)
         speed = before.joint_vel.numpy()
         expected = runtime.step((wanted - before.joint_pos).numpy().ravel(), speed.ravel()).reshape(2, 12).copy()
-        clip_torque(MOTOR, "affine", expected, speed)
+        TorqueClip([MOTOR], "affine").cut(expected, speed)
         np.testing.assert_allclose(physics.read().joint_torque, expected, atol=1e-4)
     assert np.abs(expected).max() > 5.0
 
@@ -146,12 +146,12 @@ class TestClip:
         """A PD torque cut afterwards is the torque of the PD motor with that limit."""
         error, speed = np.meshgrid(np.linspace(-4, 4, 41), np.linspace(-15, 15, 61))
         torque = MOTOR.stiffness * error - MOTOR.damping * speed
-        clip_torque(MOTOR, clip, torque, speed)
+        TorqueClip([MOTOR], clip).cut(torque, speed)
         np.testing.assert_allclose(torque, motor_torque(MOTOR, error, speed, kind), atol=1e-9)
 
     def test_none_cuts_nothing(self):
         torque = np.array([1e4, -1e4])
-        clip_torque(MOTOR, "none", torque, np.array([20.0, -20.0]))
+        TorqueClip([MOTOR], "none").cut(torque, np.array([20.0, -20.0]))
         assert torque.tolist() == [1e4, -1e4]
 
     def test_simulated_torques_keep_within_it(self):
@@ -166,7 +166,7 @@ class TestClip:
                 speed = physics.read().joint_vel.numpy()
                 physics.step((qpos[:, 7:] + 6.0).float())
                 torque = physics.read().joint_torque.numpy()
-                assert (torque <= torque_limits(MOTOR, clip, speed)[1] + 1e-4).all()
+                assert (torque <= TorqueClip([MOTOR], clip).limits(speed)[1] + 1e-4).all()
                 first.setdefault(clip, float(torque.max()))
                 highest[clip] = max(highest.get(clip, 0.0), float(torque.max()))
         assert first["affine"] == pytest.approx(24.0, abs=1e-4)

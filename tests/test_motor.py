@@ -8,7 +8,7 @@ from arrive.actuation import add_motors, motor_torque
 from arrive.physics.options import PhysicsConfig, apply_options
 from arrive.robots import get_robot
 
-MOTOR = get_robot("anymal_c").motor
+MOTOR = get_robot("anymal_c").motors[0]
 
 
 def simulated_torque(kind: str, error_rad: float, speed: float) -> float:
@@ -24,7 +24,7 @@ def hinge(kind: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
     body = spec.worldbody.add_body(name="link")
     body.add_joint(name="hinge", type=mujoco.mjtJoint.mjJNT_HINGE)
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0])
-    add_motors(spec, ["hinge"], MOTOR, kind)
+    add_motors(spec, ["hinge"], [MOTOR], kind)
     model = spec.compile()
     return model, mujoco.MjData(model)
 
@@ -66,7 +66,7 @@ def hanging_robot(timestep_s: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
     spec.delete(spec.joint("base"))
     apply_options(spec, PhysicsConfig(timestep_s=timestep_s))
     spec.option.gravity = [0, 0, 0]
-    add_motors(spec, robot.joint_names, robot.motor)
+    add_motors(spec, robot.joint_names, robot.motors)
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = robot.default_joint_pos
@@ -86,8 +86,8 @@ def test_a_drive_in_the_air_keeps_its_own_speed_limit(timestep_s):
         for _ in range(round(0.5 / timestep_s)):
             mujoco.mj_step(model, data)
             fastest[joint] = max(fastest[joint], abs(data.qvel[joint]))
-    assert fastest.max() < 1.1 * robot.motor.no_load_speed
-    assert fastest.min() > 0.3 * robot.motor.no_load_speed  # they do move
+    assert fastest.max() < 1.1 * MOTOR.no_load_speed
+    assert fastest.min() > 0.3 * MOTOR.no_load_speed  # they do move
 
 
 def test_torque_at_5_ms_is_that_at_1_ms():

@@ -5,6 +5,8 @@ example-robot-data 6.0.0) by a script that shares no code with the model: it wal
 rotated frames and sums the links that fixed joints join.
 """
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -269,3 +271,24 @@ def test_unknown_robot_is_an_error_that_lists_the_known_ones():
     with pytest.raises(ArriveError, match="anymal_c") as error:
         get_robot("anymal_d")
     assert all(name in str(error.value) for name in ROBOTS)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"collision_bodies": (*ROBOT.collision_bodies, "LF_FOOT")}, "'LF_FOOT' is in collision_bodies and in foot"),
+        ({"crash_bodies": ("base", "LF_THIGH")}, "'LF_THIGH' is in crash_bodies and in collision_bodies"),
+        ({"foot_bodies": ("LF_FOOT",) * 4}, "'LF_FOOT' is in foot_bodies and in foot_bodies"),
+        ({"motors": ROBOT.motors[:3]}, "motors has 3 entries where 12 are needed"),
+        ({"default_joint_pos": (0.0,)}, "default_joint_pos has 1 entries where 12 are needed"),
+        ({"joint_mirror": ROBOT.joint_mirror[:-1]}, "joint_mirror does not name every joint once"),
+        (
+            {"joint_reverse": (*ROBOT.joint_reverse[:-1], (ROBOT.joint_reverse[-1][0], 1.0))},
+            "joint_reverse does not undo itself",
+        ),
+    ],
+)
+def test_a_robot_that_does_not_fit_together_is_one_clear_line(change, problem):
+    with pytest.raises(ArriveError, match=problem) as error:
+        replace(ROBOT, **change)
+    assert "\n" not in str(error.value)

@@ -132,7 +132,7 @@ class TestAgreement:
         qvel[:, 6:] = torch.from_numpy(speed)
         engine.reset(torch.arange(n), qpos, qvel)
         engine.step((qpos[:, 7:] + torch.from_numpy(error)).float())
-        expected = motor_torque(ROBOT.motor, error, speed, kind)
+        expected = motor_torque(ROBOT.motors[0], error, speed, kind)
         np.testing.assert_allclose(engine.read().joint_torque, expected, atol=1e-3)
 
     def test_contacts_are_told_apart_by_body(self):

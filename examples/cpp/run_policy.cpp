@@ -135,15 +135,22 @@ std::vector<float> observe(const Policy& policy, const State& state) {
   return observation;
 }
 
+// A figure of each joint: the file has a list, or one number for all.
+Vector per_joint(const Policy& policy, const std::string& name) {
+  const auto& value = policy.robot.at(name);
+  return value.is_array() ? value.get<Vector>() : Vector(policy.robot.at("joint_names").size(), value.get<double>());
+}
+
 // Default pose + scale * action, cut to what the effort limit allows and then to the joints' ranges.
 Vector joint_targets(const Policy& policy, const State& state, const std::vector<float>& action) {
   const auto rest = policy.robot.at("default_joint_pos_rad").get<Vector>();
   const auto limits = policy.robot.at("joint_limits_rad").get<std::vector<Vector>>();
-  const double scale = policy.robot.at("action_scale_rad"), stiffness = policy.robot.at("stiffness");
-  const double reach = policy.robot.at("effort_limit").get<double>() / stiffness;
-  const double lag = policy.robot.at("damping").get<double>() / stiffness;
+  const double scale = policy.robot.at("action_scale_rad");
+  const auto stiffness = per_joint(policy, "stiffness"), damping = per_joint(policy, "damping");
+  const auto effort = per_joint(policy, "effort_limit");
   Vector targets;
   for (size_t i = 0; i < rest.size(); ++i) {
+    const double reach = effort.at(i) / stiffness.at(i), lag = damping.at(i) / stiffness.at(i);
     const double centre = state.joint_pos.at(i) + lag * state.joint_vel.at(i);
     const double target = std::clamp(rest[i] + scale * action.at(i), centre - reach, centre + reach);
     targets.push_back(std::clamp(target, limits.at(i).at(0), limits.at(i).at(1)));

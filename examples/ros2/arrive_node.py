@@ -68,9 +68,7 @@ class ArriveNode(Node):
             if kind is not None:
                 self.create_subscription(kind, topic, receive, 1)
         robot = self.controller.policy.robot
-        self.get_logger().info(
-            f"{robot.name}: the drives need {robot.stiffness:g} N m/rad, {robot.damping:g} N m s/rad"
-        )
+        self.get_logger().info(f"{robot.name}: the drives need {robot.stiffness} N m/rad, {robot.damping} N m s/rad")
         self.create_timer(self.controller.policy.period_s, self.step)
 
     def step(self) -> None:

@@ -32,31 +32,19 @@ class Motor:
     rotor_inertia: float
     """Inertia that the rotor adds to the joint: its own times the gear ratio squared [kg m^2]."""
 
+    def asks(self, error_rad: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """The torque that PD asks for, before any limit [N m].
 
-def motor_torque(
-    motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: Literal["dc", "ideal"] = "dc"
-) -> np.ndarray:
-    """Torque by the explicit formula; what the simulated motor is tested against.
-
-    Beyond the no-load speed the limit changes sign: the back-EMF then brakes, as in a voltage-limited motor.
-
-    Args:
-        error_rad: joint target minus joint position [rad], any shape.
-        speed: joint velocity [rad/s], the same shape.
-
-    Returns:
-        Torque [N m], the same shape.
-    """
-    torque = motor.stiffness * error_rad - motor.damping * speed
-    if kind == "ideal":
-        return np.clip(torque, -motor.effort_limit, motor.effort_limit)
-    upper = np.minimum(motor.effort_limit, motor.stall_torque * (1.0 - speed / motor.no_load_speed))
-    lower = np.maximum(-motor.effort_limit, -motor.stall_torque * (1.0 + speed / motor.no_load_speed))
-    # The limits cross only far beyond the no-load speed; the effort limit then decides.
-    return np.clip(np.clip(torque, lower, upper), -motor.effort_limit, motor.effort_limit)
+        Args:
+            error_rad: joint target minus joint position [rad], any shape.
+            speed: joint velocity [rad/s], the same shape.
+        """
+        return self.stiffness * error_rad - self.damping * speed
 
 
-def add_motors(spec: mujoco.MjSpec, joint_names: Sequence[str], motor: Motor, kind: MotorKind = "dc") -> None:
+def add_motors(
+    spec: mujoco.MjSpec, joint_names: Sequence[str], motors: Sequence[Motor], kind: MotorKind = "dc"
+) -> None:
     """Add one actuator per joint, in order, and the rotors' inertia to a robot's spec.
 
     The inertia lets the drive keep its torque-speed limit at physics steps of 5 ms: without it the limit, which is
@@ -67,7 +55,7 @@ def add_motors(spec: mujoco.MjSpec, joint_names: Sequence[str], motor: Motor, ki
     no-load speed V / K. `ideal` is PD with the effort limit alone. `network` takes a torque, which an actuator network
     computes outside MuJoCo at every physics step.
     """
-    for name in joint_names:
+    for name, motor in zip(joint_names, motors, strict=True):
         spec.joint(name).armature = motor.rotor_inertia
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         if kind == "dc":

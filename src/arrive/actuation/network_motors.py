@@ -1,8 +1,10 @@
 """The motors of all robots by one actuator network."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from arrive.actuation.clip import MotorClip, clip_torque
+from arrive.actuation.clip import MotorClip, TorqueClip
 from arrive.actuation.motor import Motor
 from arrive.actuation.network import ActuatorNetwork
 from arrive.actuation.runtime import make_runtime
@@ -12,12 +14,16 @@ PREFIX = "motor_"
 
 
 class NetworkMotors:
-    """A network that gives the torque of every joint at every physics step, cut at what the motor can give."""
+    """A network that gives the torque of every joint at every physics step, cut at what its motor can give."""
 
-    def __init__(self, network: ActuatorNetwork, motor: Motor, clip: MotorClip, num_envs: int, num_joints: int):
-        """Start all joints at rest."""
-        self._motor, self._clip, self._shape = motor, clip, (num_envs, num_joints)
-        self._runtime = make_runtime(network, num_envs * num_joints)
+    def __init__(self, network: ActuatorNetwork, motors: Sequence[Motor], clip: MotorClip, num_envs: int):
+        """Start all joints at rest.
+
+        Args:
+            motors: of each joint of a robot, whose limits cut.
+        """
+        self._clip, self._shape = TorqueClip(motors, clip), (num_envs, len(motors))
+        self._runtime = make_runtime(network, num_envs * len(motors))
         self._error, self._speed = np.zeros((2, *self._shape), dtype=np.float32)
 
     def torque(self, targets: np.ndarray, joint_pos: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
@@ -34,7 +40,7 @@ class NetworkMotors:
         np.copyto(self._speed, joint_vel, casting="same_kind")
         with np.errstate(all="ignore"):  # a diverged robot's NaN stays in its own columns, and the engine reports it
             torque = self._runtime.step(self._error.ravel(), self._speed.ravel()).reshape(self._shape)
-            clip_torque(self._motor, self._clip, torque, self._speed)
+            self._clip.cut(torque, self._speed)
         return torque
 
     def reset(self, env_ids: np.ndarray) -> None:

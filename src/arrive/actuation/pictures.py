@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from arrive.actuation.clip import torque_limits
+from arrive.actuation.clip import TorqueClip
 from arrive.actuation.fit import Fit
 from arrive.actuation.motor import Motor
 from arrive.actuation.responses import Drive, frequency_response, loaded_step, locked_step, torque_at_speed
@@ -100,7 +100,7 @@ def _draw_frequencies(gain: Axes, phase: Axes, drive: Drive, style: dict) -> Non
 def _draw_plane(panel: Axes, drive: Drive, motor: Motor, color: str) -> None:
     """Torque over speed for some position errors, before and after the clip, in what the clip allows."""
     speeds = np.linspace(-1.3 * motor.no_load_speed, 1.3 * motor.no_load_speed, 53)
-    lowest, highest = torque_limits(motor, drive.clip, speeds)
+    lowest, highest = TorqueClip([motor], drive.clip).limits(speeds)
     bound = 1.6 * motor.stall_torque
     panel.fill_between(speeds, np.maximum(lowest, -bound), np.minimum(highest, bound), color="black", alpha=0.08)
     for error in (*ERRORS_RAD, *(-error for error in ERRORS_RAD)):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arrive.actuation.clip import MotorClip, clip_torque
+from arrive.actuation.clip import MotorClip, TorqueClip
 from arrive.actuation.motor import Motor
 from arrive.actuation.network import ActuatorNetwork
 from arrive.actuation.runtime import make_runtime
@@ -35,11 +35,7 @@ def network_drive(name: str, network: ActuatorNetwork, clip: MotorClip) -> Drive
 
 def pd_drive(name: str, motor: Motor, period_s: float, clip: MotorClip) -> Drive:
     """The PD law of a robot's motor: `dc` with the clip `affine`, `ideal` with `constant`."""
-
-    def make_law(joints: int) -> Law:
-        return lambda error_rad, velocity: motor.stiffness * error_rad - motor.damping * velocity
-
-    return Drive(name, make_law, period_s, clip)
+    return Drive(name, lambda joints: motor.asks, period_s, clip)
 
 
 def locked_step(drive: Drive, motor: Motor, step_rad: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -115,5 +111,5 @@ def torque_at_speed(
 
 def _clipped(drive: Drive, motor: Motor, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
     torque = np.array(torque, dtype=np.float64)
-    clip_torque(motor, drive.clip, torque, speed)
+    TorqueClip([motor], drive.clip).cut(torque, speed)
     return torque

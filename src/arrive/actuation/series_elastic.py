@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arrive.actuation.clip import affine_limits
+
 FINE_STEP_S = 2e-4
 """Integration step; the torque loop is 30 times slower [s]."""
 
@@ -59,9 +61,8 @@ class SeriesElasticDrive:
     def motor_torque(self, wanted: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """The torque behind the gear within current and voltage, at the rotor's speed behind the gear [N m]."""
         current = self.gear_ratio * self.torque_constant * self.current_limit
-        line = self.stall_torque * speed / self.no_load_speed
-        within = np.clip(wanted, -self.stall_torque - line, self.stall_torque - line)
-        return np.clip(within, -current, current)
+        slope = self.stall_torque / self.no_load_speed
+        return np.clip(wanted, *affine_limits(self.stall_torque, slope, current, speed))
 
 
 @dataclass(frozen=True)

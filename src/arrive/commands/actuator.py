@@ -70,6 +70,8 @@ class Show:
     """What cuts the networks' torque, as `physics.motor_clip`."""
     robot: str = "anymal_c"
     """Whose motor is drawn for comparison and whose limits cut."""
+    joint: str | None = None
+    """Of the robot's joints the one whose motor that is; the first by default."""
     inertia: float = 0.2
     """Of the load that the step turns, the rotor included [kg m^2]."""
 
@@ -204,7 +206,7 @@ def show(options: Show) -> None:
         raise ArriveError("name at least one network; `arrive actuator fit` makes one")
     if not options.inertia > 0:
         raise ArriveError(f"--inertia must be positive, not {options.inertia}")
-    motor = get_robot(options.robot).motor
+    motor = get_robot(options.robot).motor_of(options.joint)
     networks = {path: read_network(path) for path in options.files}
     drives = [network_drive(path.stem, network, options.clip) for path, network in networks.items()]
     drives.insert(1, pd_drive("PD motor", motor, PhysicsConfig().timestep_s, "affine"))

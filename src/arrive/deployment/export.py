@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from arrive.config import Config, from_dict, to_dict
 from arrive.deployment.onnx_file import PREFIX, seal
 from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
+from arrive.deployment.specs import MOTOR_FIGURES
 from arrive.errors import ArriveError
 from arrive.evaluation.difficulty import DIFFICULTY_NAME
 from arrive.files import whole
@@ -118,20 +119,21 @@ def describe(config: Config) -> dict[str, Any]:
 
 
 def _describe_robot(robot: Robot) -> dict[str, Any]:
-    model, motor = robot.build_spec(False).compile(), robot.motor
+    model = robot.build_spec(False).compile()
     return {
         "name": robot.name,
         "joint_names": robot.joint_names,
         "default_joint_pos_rad": robot.default_joint_pos,
         "joint_limits_rad": [model.joint(name).range.tolist() for name in robot.joint_names],
         "action_scale_rad": robot.action_scale,
-        "stiffness": motor.stiffness,
-        "damping": motor.damping,
-        "effort_limit": motor.effort_limit,
-        "stall_torque": motor.stall_torque,
-        "no_load_speed": motor.no_load_speed,
+        **{name: _one_or_each([getattr(motor, name) for motor in robot.motors]) for name in MOTOR_FIGURES},
         "standing_height_m": robot.standing_height,
     }
+
+
+def _one_or_each(values: list[float]) -> float | list[float]:
+    """The number that all joints share, or one for each."""
+    return values[0] if len(set(values)) == 1 else values
 
 
 def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from arrive.deployment.specs import GridSpec, RobotSpec, TaskSpec
+from arrive.deployment.specs import MOTOR_FIGURES, GridSpec, RobotSpec, TaskSpec
 
 LARGEST_ANGLE_RAD = 100.0
 """Joint limits beyond this are no radians."""
@@ -50,6 +50,11 @@ def ascending(name: str, values: Any) -> tuple[float, float]:
     return low, high
 
 
+def per_joint(name: str, value: Any, joints: int) -> list[float]:
+    """A value of each joint, from one number for all or a list of so many."""
+    return numbers(name, value, joints) if isinstance(value, list) else [number(name, value)] * joints
+
+
 def check_robot(robot: RobotSpec) -> None:
     """Make sure that limits, default pose, gains and the motor's figures can be those of a robot."""
     names = robot.joint_names
@@ -68,11 +73,14 @@ def check_robot(robot: RobotSpec) -> None:
             raise Implausible(f"the default position of {joint}, {pose:g} rad, is outside its range {limits}")
     positive("robot.action_scale_rad", robot.action_scale_rad, LARGEST_ANGLE_RAD)
     positive("robot.standing_height_m", robot.standing_height_m, LARGEST_LENGTH_M)
-    for name in ("stiffness", "effort_limit", "stall_torque", "no_load_speed"):
-        positive(f"robot.{name}", getattr(robot, name))
-    if number("robot.damping", robot.damping) < 0.0:
-        raise Implausible(f"robot.damping is {robot.damping!r}, not 0 or above")
-    if robot.stall_torque < robot.effort_limit:
+    figures = {name: per_joint(f"robot.{name}", getattr(robot, name), len(names)) for name in MOTOR_FIGURES}
+    for name, values in figures.items():
+        for value in values:
+            if name == "damping" and value < 0.0:
+                raise Implausible(f"robot.damping is {robot.damping!r}, not 0 or above")
+            if name != "damping":
+                positive(f"robot.{name}", value)
+    if any(map(float.__lt__, figures["stall_torque"], figures["effort_limit"])):
         raise Implausible("robot.stall_torque is below robot.effort_limit")
 
 

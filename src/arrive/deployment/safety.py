@@ -32,7 +32,8 @@ class Safety:
     joint_margin_rad: float = 1.0
     """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 rad [rad]."""
     joint_speed_share: float = 10.0
-    """Joints cannot be faster than this many times their no-load speed; contacts drive simulated ones to 8 times."""
+    """Joints cannot be faster than this many times the highest no-load speed; contacts drive simulated ones to 8
+    times."""
     base_speed_m_s: float = 10.0
     """A base cannot be faster than this [m/s]."""
     base_rate_rad_s: float = 30.0
@@ -64,8 +65,9 @@ class Limits:
     def __init__(self, robot: RobotSpec):
         """Read joint limits and gains."""
         self._low, self._high = np.array(robot.joint_limits_rad).T
-        self._effort = robot.effort_limit / robot.stiffness
-        self._lag = robot.damping / robot.stiffness
+        stiffness = np.asarray(robot.stiffness)
+        self._effort = np.asarray(robot.effort_limit) / stiffness
+        self._lag = np.asarray(robot.damping) / stiffness
 
     def within_joints(self, targets: np.ndarray) -> np.ndarray:
         """Targets cut to the joints' ranges."""

@@ -2,6 +2,11 @@
 
 from dataclasses import dataclass
 
+PerJoint = float | list[float]
+"""One number for all joints, or a list in the order of `joint_names`."""
+MOTOR_FIGURES = ("stiffness", "damping", "effort_limit", "stall_torque", "no_load_speed")
+"""Fields of `RobotSpec` that are `PerJoint`."""
+
 
 @dataclass(frozen=True)
 class Term:
@@ -28,15 +33,15 @@ class RobotSpec:
     """Lowest and highest position of each joint."""
     action_scale_rad: float
     """Joint target = default position + this * action."""
-    stiffness: float
+    stiffness: PerJoint
     """Proportional gain the drives must run with [N m/rad]."""
-    damping: float
+    damping: PerJoint
     """Derivative gain the drives must run with [N m s/rad]."""
-    effort_limit: float
+    effort_limit: PerJoint
     """[N m]."""
-    stall_torque: float
+    stall_torque: PerJoint
     """[N m]."""
-    no_load_speed: float
+    no_load_speed: PerJoint
     """[rad/s]."""
     standing_height_m: float
     """Base above flat ground at the default pose."""

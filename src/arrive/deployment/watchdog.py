@@ -46,7 +46,7 @@ class Watchdog:
         }
         low, high = np.array(robot.joint_limits_rad).T
         self._middle, self._half = (low + high) / 2, (high - low) / 2
-        self._joint_speed = safety.joint_speed_share * robot.no_load_speed
+        self._joint_speed = safety.joint_speed_share * float(np.max(robot.no_load_speed))
         self._least_tick = STILL_SHARE * period_s
         self.reset()
 

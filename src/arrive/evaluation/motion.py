@@ -41,7 +41,7 @@ class MotionMeter:
         model = robot.build_spec(False).compile()
         ranges = np.array([model.joint(name).range for name in robot.joint_names], dtype=np.float32)
         self._range = torch.from_numpy(ranges).to(env.device)
-        self._effort_limit = robot.motor.effort_limit
+        self._effort_limit = torch.tensor([motor.effort_limit for motor in robot.motors], device=env.device)
         self._rate = robot.action_scale / env.control_dt
         self._standing_height = robot.standing_height
         self._rest_from = env.max_episode_length - round(REST_S / env.control_dt)

@@ -24,4 +24,4 @@ def network_motors(
     """The motors of this many robots in NumPy; None for motors inside MuJoCo."""
     if network is None:
         return None
-    return NetworkMotors(network, robot.motor, config.motor_clip, num_envs, len(robot.joint_names))
+    return NetworkMotors(network, robot.motors, config.motor_clip, num_envs)

@@ -78,7 +78,7 @@ class WarpPhysics:
                 njmax=template.njnt + ROWS_PER_CONTACT * config.max_contacts,
             )
             self._contacts = ContactCount(robot, template, self._data)
-            self._motors = WarpMotors(network, robot.motor, config.motor_clip, self._data) if network else None
+            self._motors = WarpMotors(network, robot.motors, config.motor_clip, self._data) if network else None
         if template.nhfield:
             self._model.callback.contactfilter = drop_false_contacts
         self._model.opt.warn_overflow = 0  # reported below, and not by printing from the device

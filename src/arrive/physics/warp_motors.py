@@ -5,14 +5,14 @@ The kernels take the matrices that NumPy uses, see `arrive.actuation.runtime`, a
 
 # ruff: noqa: RUF046, UP018 - Warp wants a constructor where a loop changes a variable
 
-import math
+from collections.abc import Sequence
 
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from torch import Tensor
 
-from arrive.actuation.clip import MotorClip, limit_line
+from arrive.actuation.clip import MotorClip, TorqueClip
 from arrive.actuation.motor import Motor
 from arrive.actuation.network import ActuatorNetwork
 from arrive.actuation.network_motors import PREFIX
@@ -24,7 +24,7 @@ UNLIMITED = float(np.finfo(np.float32).max)
 
 @wp.struct
 class Drive:
-    """What every joint of every robot shares, or reads and writes."""
+    """What every joint of every robot reads and writes; limits are (num_joints,)."""
 
     qpos: wp.array2d[float]
     qvel: wp.array2d[float]
@@ -32,9 +32,9 @@ class Drive:
     ctrl: wp.array2d[float]
     weights: wp.array[float]
     units: wp.array[int]
-    stall: float
-    slope: float
-    effort: float
+    stall: wp.array[float]
+    slope: wp.array[float]
+    effort: wp.array[float]
 
 
 @wp.func
@@ -45,9 +45,10 @@ def _error(drive: Drive, env: int, joint: int):
 @wp.func
 def _apply(drive: Drive, env: int, joint: int, torque: float):
     """Cut a torque at the motor's limits and hand it to the next physics step."""
-    back = drive.slope * drive.qvel[env, 6 + joint]
-    highest = wp.clamp(drive.stall - back, -drive.effort, drive.effort)
-    lowest = wp.clamp(-drive.stall - back, -drive.effort, drive.effort)
+    effort = drive.effort[joint]
+    back = drive.slope[joint] * drive.qvel[env, 6 + joint]
+    highest = wp.clamp(drive.stall[joint] - back, -effort, effort)
+    lowest = wp.clamp(-drive.stall[joint] - back, -effort, effort)
     drive.ctrl[env, joint] = wp.clamp(torque, lowest, highest)
 
 
@@ -132,7 +133,7 @@ def _taps(drive: Drive, history: wp.array4d[float], fresh: wp.array3d[float]):
 class WarpMotors:
     """`NetworkMotors` on the present Warp device, for the robots of a MuJoCo Warp simulation."""
 
-    def __init__(self, network: ActuatorNetwork, motor: Motor, clip: MotorClip, data: mjw.Data):
+    def __init__(self, network: ActuatorNetwork, motors: Sequence[Motor], clip: MotorClip, data: mjw.Data):
         """Start all joints at rest."""
         recurrent = network.architecture == "lstm"
         matrices = (lstm_matrices if recurrent else taps_matrices)(network)
@@ -142,8 +143,10 @@ class WarpMotors:
         self._drive.target = wp.zeros(self._shape, dtype=float)
         self._drive.weights = wp.array(np.concatenate([matrix.ravel() for matrix in matrices]), dtype=float)
         self._drive.units = wp.array(network.units, dtype=int)
-        line = (value if math.isfinite(value) else UNLIMITED for value in limit_line(motor, clip))
-        self._drive.stall, self._drive.slope, self._drive.effort = line
+        limits = TorqueClip(motors, clip)
+        for name in ("stall", "slope", "effort"):
+            values = np.full(self._shape[1], np.minimum(getattr(limits, name), UNLIMITED))
+            setattr(self._drive, name, wp.array(values, dtype=float))
         total = sum(network.units)
         self._fresh = wp.zeros((*self._shape, total), dtype=float)
         if recurrent:

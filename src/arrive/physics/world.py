@@ -91,7 +91,7 @@ def world_spec(robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = 
         let_legs_collide(spec, robot)
     add_tile(spec, tile)
     apply_options(spec, config)
-    add_motors(spec, robot.joint_names, robot.motor, config.motor)
+    add_motors(spec, robot.joint_names, robot.motors, config.motor)
     add_sensors(spec, robot)
     return spec
 

@@ -104,6 +104,16 @@ would add 63e-6 * 50^2 = 0.16 kg m^2. The drive's spring hides part of that from
 0.05 to 0.16 is plausible.
 """
 
+ANYDRIVE = Motor(
+    stiffness=80.0,
+    damping=2.0,
+    effort_limit=80.0,
+    stall_torque=120.0,
+    no_load_speed=7.5,
+    rotor_inertia=ROTOR_INERTIA,
+)
+"""Of every joint."""
+
 DEFAULT_HFE = 0.4
 DEFAULT_KFE = -0.8
 """Default pose of the front legs; the hind legs mirror it (legged_gym, anymal_c) [rad]."""
@@ -227,14 +237,7 @@ ANYMAL_C = Robot(
     default_joint_pos=default_joint_pos(),
     standing_height=standing_height(),
     action_scale=0.5,
-    motor=Motor(
-        stiffness=80.0,
-        damping=2.0,
-        effort_limit=80.0,
-        stall_torque=120.0,
-        no_load_speed=7.5,
-        rotor_inertia=ROTOR_INERTIA,
-    ),
+    motors=(ANYDRIVE,) * len(JOINT_NAMES),
     foot_sites=FEET,
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("THIGH", "SHANK")),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 
 from arrive.actuation import Motor
+from arrive.errors import ArriveError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,8 @@ class Robot:
     """Height of the base above flat ground at the default pose, feet on the ground [m]."""
     action_scale: float
     """Radians of joint target per unit of action."""
-    motor: Motor
+    motors: tuple[Motor, ...]
+    """One for each joint, in the order of `joint_names`."""
     foot_sites: tuple[str, ...]
     foot_bodies: tuple[str, ...]
     collision_bodies: tuple[str, ...]
@@ -43,3 +45,51 @@ class Robot:
     """For each joint, its partner under left-right reflection and the sign of the position there."""
     joint_reverse: tuple[tuple[str, float], ...] | None = None
     """The same under front-back reflection; None for a robot whose hind legs are no mirror image of the front ones."""
+
+    def __post_init__(self):
+        """Refuse what does not fit together.
+
+        Raises:
+            ArriveError: a list of another length than the joints or feet, a body with two roles, or a mirror map that
+                does not undo itself.
+        """
+        problem = self._problem()
+        if problem:
+            raise ArriveError(f"robot {self.name!r}: {problem}")
+
+    def motor_of(self, joint: str | None) -> Motor:
+        """The motor of a joint, of the first one for None.
+
+        Raises:
+            ArriveError: there is no such joint.
+        """
+        if joint is not None and joint not in self.joint_names:
+            raise unknown_name(f"joint of {self.name}", joint, self.joint_names)
+        return self.motors[0 if joint is None else self.joint_names.index(joint)]
+
+    def _problem(self) -> str:
+        """What does not fit together, or an empty string."""
+        joints, feet = self.joint_names, self.foot_sites
+        for name, size in (("default_joint_pos", len(joints)), ("motors", len(joints)), ("foot_bodies", len(feet))):
+            if len(getattr(self, name)) != size:
+                return f"{name} has {len(getattr(self, name))} entries where {size} are needed"
+        if len(set(joints)) != len(joints):
+            return "joint_names has a name twice"
+        roles = {name: getattr(self, name) for name in ("crash_bodies", "collision_bodies", "foot_bodies")}
+        seen: dict[str, str] = {}
+        for role, bodies in roles.items():
+            for body in bodies:
+                if body in seen:
+                    return f"body {body!r} is in {seen[body]} and in {role}; its contacts count for one of them"
+                seen[body] = role
+        maps = {"joint_mirror": self.joint_mirror}
+        if self.joint_reverse is not None:
+            maps["joint_reverse"] = self.joint_reverse
+        for name, pairs in maps.items():
+            if len(pairs) != len(joints) or {partner for partner, _ in pairs} != set(joints):
+                return f"{name} does not name every joint once"
+            place = dict(zip(joints, pairs, strict=True))
+            for joint, (partner, sign) in place.items():
+                if place[partner] != (joint, sign):
+                    return f"{name} does not undo itself: {joint} goes to {partner}, which goes to {place[partner][0]}"
+        return ""
