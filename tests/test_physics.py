@@ -1,5 +1,6 @@
 """The CPU engine: accurate, the same at any number of threads, resumable, and deaf to one robot's failure."""
 
+from dataclasses import replace
 from functools import cache
 
 import mujoco
@@ -12,11 +13,12 @@ from torch import Tensor
 from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
+from arrive.errors import ArriveError
 from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS
-from arrive.robots import get_robot
+from arrive.robots import Robot, get_robot
 from arrive.terrain import FAMILIES, build_tile
 
 ROBOT = get_robot("anymal_c")
@@ -315,3 +317,43 @@ def test_a_simulation_that_mujoco_gives_up_counts_as_diverged(monkeypatch):
     monkeypatch.setattr(engine, "_batch", Failing())
     engine.step(torch.zeros(4, 12))
     assert engine.read().finite.tolist() == [True, True, False, True]
+
+
+def test_payload_scales_mass_and_inertia_however_the_robot_gives_them():
+    """A matrix, principal axes, or nothing but geoms with masses: a payload of as much again doubles both."""
+
+    def with_base(describe: str) -> Robot:
+        def build(visuals: bool) -> mujoco.MjSpec:
+            spec = ROBOT.build_spec(visuals)
+            base = spec.body("base")
+            if describe != "a matrix":
+                base.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+            if describe == "principal axes":
+                base.inertia, base.iquat = [0.2, 1.8, 1.9], [0.8, 0, 0.6, 0]
+            elif describe == "geoms":
+                base.explicitinertial, base.ipos = False, [np.nan, 0, 0]
+                for geom in base.geoms:
+                    geom.mass = 9.0
+            return spec
+
+        return replace(ROBOT, build_spec=build)
+
+    tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
+    for describe in ("a matrix", "principal axes", "geoms"):
+        robot = with_base(describe)
+        plain = compile_world(robot, tile, PhysicsConfig()).body("base")
+        loaded = compile_world(robot, tile, PhysicsConfig(), payload_kg=float(plain.mass[0])).body("base")
+        assert loaded.mass == pytest.approx(2.0 * plain.mass), describe
+        np.testing.assert_allclose(loaded.inertia, 2.0 * plain.inertia, rtol=1e-9, err_msg=describe)
+        np.testing.assert_allclose(loaded.ipos, plain.ipos, atol=1e-12, err_msg=describe)
+        with pytest.raises(ArriveError, match=r"leaves nothing of the .* kg of anymal_c's base.*payload_kg"):
+            compile_world(robot, tile, PhysicsConfig(), payload_kg=-float(plain.mass[0]))
+
+
+def test_time_constants_that_mujoco_would_raise_silently_are_refused():
+    with pytest.raises(ArriveError, match=r"contact_time_s must be at least 2 physics steps, 0.02 s, .* not 0.01 s"):
+        PhysicsConfig(timestep_s=0.01)
+    PhysicsConfig(timestep_s=0.01, contact_time_s=0.02)
+    tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
+    with pytest.raises(ArriveError, match=r"limit of joint LF_HAA has a time constant of 0.02 s.*timestep_s to 0.01"):
+        compile_world(ROBOT, tile, PhysicsConfig(timestep_s=0.02, contact_time_s=0.04))

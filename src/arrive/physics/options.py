@@ -11,6 +11,9 @@ from arrive.errors import ArriveError
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
+LEAST_TIME_STEPS = 2
+"""Physics steps below which MuJoCo raises the time constant of a contact or a joint limit without saying so."""
+
 
 @dataclass(frozen=True)
 class PhysicsConfig:
@@ -44,7 +47,7 @@ class PhysicsConfig:
     impratio: float = 20.0
     """Stiffness of friction relative to the contact normal; at MuJoCo's 1 the feet of a standing robot creep apart."""
     contact_time_s: float = 0.01
-    """Time constant of contacts, at least two physics steps [s]."""
+    """Time constant of contacts, at least two physics steps, for MuJoCo takes no shorter one [s]."""
     contact_impedance: float = 0.97
     """How hard contacts are, 0 to 1: the softer, the faster a standing robot's feet creep."""
     max_contacts: int = 64
@@ -55,6 +58,12 @@ class PhysicsConfig:
             raise ArriveError(
                 "physics.motor=network and physics.motor_file=FILE go together; physics.motor is "
                 f"{self.motor!r} and physics.motor_file {self.motor_file!r}"
+            )
+        least = LEAST_TIME_STEPS * self.timestep_s
+        if not self.contact_time_s >= least * (1.0 - 1e-9):
+            raise ArriveError(
+                f"physics.contact_time_s must be at least {LEAST_TIME_STEPS} physics steps, {least:.6g} s, for MuJoCo "
+                f"takes no shorter time, not {self.contact_time_s:g} s"
             )
         if self.motor != "network" and self.motor_clip != "affine":
             raise ArriveError(f"physics.motor_clip is for physics.motor=network, not for {self.motor!r}")
@@ -71,6 +80,9 @@ def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     The Jacobian stays dense: a robot has 18 degrees of freedom, and MuJoCo 4.0.0 factorises wrongly where the
     constraint Jacobian is sparse. Searching for islands is left out: a robot is one. A diverged simulation is not
     silently put back to its start: the environment must see it.
+
+    Raises:
+        ArriveError: MuJoCo would silently raise the time constant of a joint's limit.
     """
     option = spec.option
     option.timestep = config.timestep_s
@@ -82,6 +94,13 @@ def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     option.ls_iterations = config.line_search_iterations
     option.tolerance = config.solver_tolerance
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    least = LEAST_TIME_STEPS * config.timestep_s
+    for joint in spec.joints:
+        if 0.0 < joint.solref_limit[0] < least * (1.0 - 1e-9) and joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            raise ArriveError(
+                f"the limit of joint {joint.name} has a time constant of {joint.solref_limit[0]:g} s, less than "
+                f"{LEAST_TIME_STEPS} physics steps: set physics.timestep_s to {joint.solref_limit[0] / 2:g} or less"
+            )
     for geom in spec.geoms:
         geom.solref[0] = config.contact_time_s
         geom.solimp[:2] = config.contact_impedance

@@ -5,8 +5,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 from arrive.actuation import add_motors
+from arrive.errors import ArriveError
 from arrive.physics.options import PhysicsConfig, apply_options
 from arrive.physics.scene import add_tile
 from arrive.robots.robot import Robot
@@ -109,12 +111,34 @@ def compile_world(
     Args:
         friction: sliding friction coefficient of every contact (see `PhysicsConfig.cone`).
         payload_kg: mass added to the base at its centre of mass, may be negative [kg].
+
+    Raises:
+        ArriveError: the payload takes more than the base has.
     """
     spec = world_spec(robot, tile, config, visuals)
     for geom in spec.geoms:
         geom.friction[0] = friction
+    _add_payload(spec, robot, payload_kg)
+    return spec.compile()
+
+
+def _add_payload(spec: mujoco.MjSpec, robot: Robot, payload_kg: float) -> None:
+    """Scale the base's mass and inertia, however the robot gives them: as a matrix, by principal axes, or by geoms.
+
+    Raises:
+        ArriveError: the base would have no mass left.
+    """
     base = spec.body(robot.base_body)
+    if np.isnan(base.ipos[0]):  # MuJoCo then sums up the geoms
+        alone = robot.build_spec(False).compile().body(robot.base_body)
+        base.mass, base.ipos, base.iquat, base.inertia = alone.mass[0], alone.ipos, alone.iquat, alone.inertia
+        base.explicitinertial = True
     scale = (base.mass + payload_kg) / base.mass
+    if not scale > 0.0:
+        raise ArriveError(
+            f"a payload of {payload_kg:.3g} kg leaves nothing of the {base.mass:.3g} kg of {robot.name}'s base: "
+            "raise the lower end of randomisation.payload_kg"
+        )
     base.mass *= scale
     base.fullinertia = [component * scale for component in base.fullinertia]
-    return spec.compile()
+    base.inertia = [component * scale for component in base.inertia]
