@@ -61,8 +61,12 @@ def test_record_fit_show_train_export(tmp_path, capsys):
     cli.main(["train", "flat", "--iterations", "2", *run])
     saved = json.loads((tmp_path / "run" / "config.json").read_text())["config"]["physics"]
     assert (saved["motor"], saved["motor_clip"]) == ("network", "constant")
-    cli.main(["train", "flat", "--iterations", "3", "--threads", "1", "--resume", "run"])
-    cli.main(["export", "run", "-o", "policy.onnx"])
+    (tmp_path / "drive.safetensors").unlink()  # the run has a copy of its own, wherever its folder goes
+    (tmp_path / "run").rename(tmp_path / "moved")
+    cli.main(["train", "flat", "--iterations", "3", "--threads", "1", "--resume", "moved"])
+    evaluation = ["--episodes", "1", "--level", "0", "--threads", "1"]
+    cli.main(["eval", "moved", *evaluation])
+    cli.main(["export", "moved", "-o", "policy.onnx"])
     file = read_policy_file(tmp_path / "policy.onnx")
     assert len(file.robot.joint_names) == 12
 

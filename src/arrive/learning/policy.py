@@ -14,6 +14,7 @@ from arrive.errors import ArriveError
 from arrive.learning.checkpoint import POLICY_NAME, Origin, check_schema, load_policy_file
 from arrive.learning.networks import Network
 from arrive.learning.ppo import make_actor
+from arrive.learning.rundir import with_own_motor
 from arrive.policies import find_run
 
 CPU = torch.device("cpu")
@@ -64,7 +65,8 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     path = path / POLICY_NAME if path.is_dir() else path
     origin, weights = load_policy_file(path)
     actor = _make_actor(origin, weights, path).to(device)
-    return Policy(path, origin.config, origin.schema, origin.commit, origin.samples, actor, torch.device(device))
+    config = with_own_motor(origin.config, path.parent)
+    return Policy(path, config, origin.schema, origin.commit, origin.samples, actor, torch.device(device))
 
 
 def _make_actor(origin: Origin, weights: dict[str, Tensor], path: Path) -> Network:

@@ -15,7 +15,7 @@ from arrive.learning.checkpoint import (
     save_sealed,
 )
 from arrive.learning.ranks import Ranks
-from arrive.learning.rundir import commit
+from arrive.learning.rundir import commit, with_own_motor
 from arrive.learning.state import Snapshot, TrainingState, snapshot_from
 
 
@@ -71,7 +71,7 @@ def resume_run(state: TrainingState, config: Config, folder: Path, ranks: Ranks)
     path = folder / CHECKPOINT_NAME
     origin, saved = load_checkpoint(path)
     check_fits(origin, config.robot, state.env.observer.schema(), path)
-    if origin.config != config:
+    if with_own_motor(origin.config, folder) != config:
         raise ArriveError(f"{path} was made with another configuration than {folder}/config.json")
     try:
         state.restore(_part_of_rank(saved, state, ranks, path))

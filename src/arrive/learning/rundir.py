@@ -7,19 +7,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from arrive import __version__
 from arrive.config import Config, from_dict, to_dict
 from arrive.errors import ArriveError
-from arrive.files import cannot_write, read_json, remove_unfinished, write_json
+from arrive.files import cannot_write, read_json, remove_unfinished, write_bytes, write_json
 from arrive.learning.checkpoint import CHECKPOINT_NAME, POLICY_NAME
 from arrive.learning.logs import LOG_NAME
 from arrive.lock import Lock
 
 CONFIG_NAME = "config.json"
 LOCK_NAME = "run.lock"
+MOTOR_NAME = "motor.safetensors"
+"""The run's own copy of its actuator network."""
 RUNS = Path("runs")
 
 
@@ -116,6 +119,8 @@ def owned(folder: Path) -> Iterator[Lock]:
 def write_config(folder: Path, config: Config, before: int = 0) -> None:
     """Write the resolved configuration with commit, command and seed, just before the first checkpoint.
 
+    The actuator network that it names is copied first: with it the folder has all that a run needs.
+
     Args:
         before: policy steps of the runs that this one begins from.
 
@@ -129,7 +134,16 @@ def write_config(folder: Path, config: Config, before: int = 0) -> None:
         "seed": config.seed,
         "samples_before": before,
     }
+    if config.physics.motor_file:
+        write_bytes(folder / MOTOR_NAME, Path(config.physics.motor_file).read_bytes())
     write_json(folder / CONFIG_NAME, content)
+
+
+def with_own_motor(config: Config, folder: Path) -> Config:
+    """The configuration of a run with the folder's own copy of the actuator network in place of the file it names."""
+    if not config.physics.motor_file or not (folder / MOTOR_NAME).is_file():
+        return config
+    return replace(config, physics=replace(config.physics, motor_file=str(folder / MOTOR_NAME)))
 
 
 def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
@@ -152,7 +166,7 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
     if not isinstance(content.get("samples_before", 0), int):
         raise ArriveError(f"cannot read {path}: samples_before must be a number, not {content['samples_before']!r:.60}")
     try:
-        return from_dict(Config, content["config"]), content
+        return with_own_motor(from_dict(Config, content["config"]), folder), content
     except ArriveError as error:
         raise ArriveError(f"cannot read {path}: {error}") from error
 
