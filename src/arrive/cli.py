@@ -24,6 +24,8 @@ class Train:
     """Terrain family, several joined by commas, or `all`."""
     preset: str | None = None
     """Named configuration, see `arrive list`; `robust` by default."""
+    robot: str | None = None
+    """Named robot, see `arrive list`; `anymal_c` by default."""
     task: str | None = None
     """Named task, see `arrive list`; the preset's own by default."""
     minutes: float | None = None
@@ -211,6 +213,8 @@ class Bench:
     """Terrain family, several joined by commas, or `all`."""
     preset: str | None = None
     """Named configuration, see `arrive list`; `robust` by default."""
+    robot: str | None = None
+    """Named robot, see `arrive list`; `anymal_c` by default."""
     task: str | None = None
     """Named task, see `arrive list`; the preset's own by default."""
     num_envs: int | None = None

@@ -22,7 +22,7 @@ from arrive.task.state import State
 from arrive.task.task import Outcome, Start, Task
 
 SPAWN_CLEARANCE = 0.06
-"""Robots start this much above standing height: the random start pose may stretch their legs [m]."""
+"""Robots of ANYmal C's size start this much above standing height: the random start pose may stretch their legs [m]."""
 POLICY = "policy"
 """Name of the observation group that actor and critic read."""
 
@@ -357,7 +357,7 @@ class ArriveEnv(VecEnv):
         signed = lambda *shape: 2.0 * self._uniform(*shape) - 1.0  # noqa: E731
         position = torch.zeros(n, 3, device=self.device)
         position[:, :2] = config.start_offset * signed(n, 2)
-        position[:, 2] = self.robot.standing_height + SPAWN_CLEARANCE
+        position[:, 2] = self.robot.standing_height + SPAWN_CLEARANCE * self.robot.size
         quat = quat_of_yaw(config.start_yaw_rad * signed(n))
         joints = self._default_joint_pos * (1.0 + config.start_joint_scale * signed(n, self.num_actions))
         velocity = torch.zeros(n, 6 + self.num_actions, device=self.device)

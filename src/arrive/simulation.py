@@ -18,9 +18,9 @@ from arrive.terrain.shapes import GROUND_HALF
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box, Tile
 
 DROP = 0.02
-"""Robots start this much above standing height [m]."""
+"""Robots of ANYmal C's size start this much above standing height [m]."""
 FOOTPRINT = 0.6
-"""Half the edge of the square around a starting robot whose highest point it is put above [m]."""
+"""Half the edge of the square around a starting robot of that size whose highest point it is put above [m]."""
 MAP_HALF = 1.5
 """Half the edge of the height map around the robot [m]; the corners of the largest preset's grid are 1.18 m away."""
 FAR = 200.0
@@ -106,9 +106,9 @@ class SimulatedRobot:
             yaw: heading [rad].
         """
         mujoco.mj_resetData(self.model, self.data)
-        ground = float(self._around(position, FOOTPRINT)[1].max())
+        ground = float(self._around(position, FOOTPRINT * self.robot.size)[1].max())
         qpos = self.data.qpos
-        qpos[:3] = *position, ground + self.robot.standing_height + DROP
+        qpos[:3] = *position, ground + self.robot.standing_height + DROP * self.robot.size
         qpos[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
         qpos[7:] = self.robot.default_joint_pos
         if self._motors is None:
@@ -193,7 +193,7 @@ class SimulatedRobot:
 
     def height_map(self, now_s: float | None = None) -> HeightMap:
         """The tile's raster around the robot, for `Controller.step`; beyond the raster its edge goes on."""
-        origin, heights = self._around(self.data.qpos[:2], MAP_HALF)
+        origin, heights = self._around(self.data.qpos[:2], MAP_HALF * max(self.robot.size, 1.0))
         return HeightMap(origin, RASTER_CELL, heights, self.time_s if now_s is None else now_s)
 
     def _around(self, position: np.ndarray | tuple[float, float], half: float) -> tuple[np.ndarray, np.ndarray]:

@@ -47,7 +47,7 @@ def _throughput(command: Bench) -> dict[str, Any]:
         raise ArriveError("--policy names what --deployment measures; --start-from names the run that moves the robots")
     threads = use_threads(command.threads)
     families = parse_families(command.terrain)
-    config = make_config(families, command.preset, command.task, command.num_envs, overrides=command.set)
+    config = make_config(families, command.preset, command.task, command.num_envs, None, command.set, command.robot)
     with Progress(transient=True) as bar:
         rounds = bar.add_task("measuring", total=None)
         return bench_throughput(

@@ -165,7 +165,9 @@ def _parse_samples(text: str) -> float:
 
 def _fresh(command: Train) -> tuple[Config, Path]:
     families = parse_families(command.terrain)
-    config = make_config(families, command.preset, command.task, command.num_envs, command.seed, command.set)
+    config = make_config(
+        families, command.preset, command.task, command.num_envs, command.seed, command.set, command.robot
+    )
     return config, new_run_folder(config, command.out)
 
 
@@ -180,7 +182,13 @@ def _resumed(command: Train) -> tuple[Config, Path]:
     names = tuple(family.name for family in parse_families(command.terrain))
     if names != config.terrain.families:
         raise ArriveError(f"{folder} trains on {','.join(config.terrain.families)}, not {command.terrain}")
-    present = {"preset": config.preset, "task": config.task.name, "num_envs": config.num_envs, "seed": config.seed}
+    present = {
+        "preset": config.preset,
+        "robot": config.robot,
+        "task": config.task.name,
+        "num_envs": config.num_envs,
+        "seed": config.seed,
+    }
     changed = [name for name, value in present.items() if getattr(command, name) not in (None, value)]
     changed += [name for name in ("set", "start_from", "out") if getattr(command, name)]
     if changed:

@@ -23,7 +23,7 @@ from arrive.learning.policy import Policy
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.heights import HeightGrid
-from arrive.task.observations import HEIGHT_OFFSET, Observer
+from arrive.task.observations import Observer, height_offset
 from arrive.task.registry import get_task
 
 OPSET, IR_VERSION = 17, 8
@@ -103,7 +103,7 @@ def describe(config: Config) -> dict[str, Any]:
             # Rounded, because float32 makes 0.1 a number that no person would write.
             "points_m": [[round(x, 6) for x in point] for point in grid.points.tolist()],
             "step_m": config.observation.grid_step,
-            "offset_m": HEIGHT_OFFSET,
+            "offset_m": height_offset(robot),
             "clip_m": list(config.observation.height_clip),
         },
         "task": {

@@ -23,7 +23,7 @@ class ArriveVectorEnv(VectorEnv):
     """Robots that must reach places by given times.
 
     Observations are (num_envs, size) float32, scaled and noisy as in training; actions are (num_envs, joints) joint
-    targets relative to the default pose in units of the action scale (0.5 rad), without bounds: the motors limit them.
+    targets relative to the default pose in units of the robot's action scale, without bounds: the motors limit them.
 
     A robot whose episode ends starts the next one in the same step (`AutoresetMode.SAME_STEP`). The observation is
     then the new episode's; `info["final_obs"]` has the last one of the old episode and `info["final_info"]` has
@@ -45,6 +45,7 @@ class ArriveVectorEnv(VectorEnv):
         level: int | None = None,
         overrides: tuple[str, ...] = (),
         threads: int = 0,
+        robot: str | None = None,
     ):
         """Build terrain and robots.
 
@@ -57,11 +58,12 @@ class ArriveVectorEnv(VectorEnv):
             overrides: changes to the configuration as PATH=VALUE, like `task.rewards.stall_cost=-2`. `seed=2` changes
                 the terrain; the seed of `reset` does not.
             threads: physics threads; 0 takes every CPU.
+            robot: named robot; `anymal_c` by default.
 
         Raises:
             ArriveError: an unknown name or value out of range.
         """
-        config = make_config(parse_families(terrain), preset, task, num_envs, overrides=tuple(overrides))
+        config = make_config(parse_families(terrain), preset, task, num_envs, None, tuple(overrides), robot)
         self.num_envs = config.num_envs
         self._env = build_env(config, _placement(config, level), threads)
         self._env.final_observations = True

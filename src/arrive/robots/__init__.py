@@ -3,8 +3,9 @@
 from arrive.errors import unknown_name
 from arrive.robots.anymal_c import ANYMAL_C
 from arrive.robots.robot import Robot
+from arrive.robots.unitree_go2 import GO2
 
-ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (ANYMAL_C,)}
+ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (ANYMAL_C, GO2)}
 
 
 def get_robot(name: str) -> Robot:

@@ -19,20 +19,8 @@ import mujoco
 
 from arrive.actuation import Motor
 from arrive.robots.anymal_c_visuals import add_base_shapes, add_leg_shapes
+from arrive.robots.parts import Inertial, Vec3, add_hinge, collide, collide_capsule, set_inertial
 from arrive.robots.robot import Robot
-
-Vec3 = tuple[float, float, float]
-
-COLLISION_GROUP = 3
-
-
-@dataclass(frozen=True)
-class Inertial:
-    """Mass [kg], centre of mass in the body frame [m] and inertia about it: xx, yy, zz, xy, xz, yz [kg m^2]."""
-
-    mass: float
-    com: Vec3
-    inertia: tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -46,12 +34,6 @@ class Leg:
     def place(self, point: Vec3) -> Vec3:
         """The point of this leg that corresponds to a point of the left front one [m]."""
         return (self.x_sign * point[0], self.y_sign * point[1], point[2])
-
-    def reflect(self, link: Inertial) -> Inertial:
-        """The inertial of this leg's link that corresponds to one of the left front leg."""
-        xx, yy, zz, xy, xz, yz = link.inertia
-        sx, sy = self.x_sign, self.y_sign
-        return Inertial(link.mass, self.place(link.com), (xx, yy, zz, sx * sy * xy, sx * xz, sy * yz))
 
 
 LEGS = (Leg("LF", 1, 1), Leg("LH", -1, 1), Leg("RF", 1, -1), Leg("RH", -1, -1))
@@ -126,7 +108,7 @@ def build_spec(visuals: bool = True) -> mujoco.MjSpec:
     spec.compiler.degree = False
     base = spec.worldbody.add_body(name="base")
     base.add_freejoint(name="base")
-    _set_inertial(base, BASE)
+    set_inertial(base, BASE)
     _add_base_collision(base)
     if visuals:
         add_base_shapes(base)
@@ -143,51 +125,30 @@ def _add_leg(base: mujoco.MjsBody, leg: Leg) -> list[mujoco.MjsBody]:
     thigh = _add_link(hip, leg, "THIGH", HFE_IN_HIP, THIGH)
     shank = _add_link(thigh, leg, "SHANK", KFE_IN_THIGH, SHANK)
     low, high = HAA_RANGE if leg.y_sign > 0 else (-HAA_RANGE[1], -HAA_RANGE[0])
-    _add_hinge(hip, f"{leg.name}_HAA", (1, 0, 0), (low, high))
-    _add_hinge(thigh, f"{leg.name}_HFE", (0, 1, 0), PITCH_RANGE)
-    _add_hinge(shank, f"{leg.name}_KFE", (0, 1, 0), PITCH_RANGE)
+    add_hinge(hip, f"{leg.name}_HAA", (1, 0, 0), (low, high))
+    add_hinge(thigh, f"{leg.name}_HFE", (0, 1, 0), PITCH_RANGE)
+    add_hinge(shank, f"{leg.name}_KFE", (0, 1, 0), PITCH_RANGE)
     foot = _add_link(shank, leg, "FOOT", FOOT_IN_SHANK, FOOT)
     foot.add_site(name=f"{leg.name}_FOOT", size=[FOOT_RADIUS] * 3, group=4)
-    _collide(foot, mujoco.mjtGeom.mjGEOM_SPHERE, size=[FOOT_RADIUS, 0, 0])
-    _collide_capsule(thigh, leg.place((0.0, 0.03, 0.0)), leg.place((0.0, 0.03, -0.285)), 0.0375)
+    collide(foot, mujoco.mjtGeom.mjGEOM_SPHERE, size=[FOOT_RADIUS, 0, 0])
+    collide_capsule(thigh, leg.place((0.0, 0.03, 0.0)), leg.place((0.0, 0.03, -0.285)), 0.0375)
     # The knee: the KFE drive (radius 0.05) and the shank's hub beside it (0.06), -0.04 to 0.14 m along the axis.
-    _collide_capsule(thigh, leg.place((0.0, 0.015, -0.285)), leg.place((0.0, 0.085, -0.285)), 0.055)
-    _collide_capsule(shank, leg.place((0.08795, 0.01305, -0.0175)), leg.place(FOOT_IN_SHANK), 0.0175)
+    collide_capsule(thigh, leg.place((0.0, 0.015, -0.285)), leg.place((0.0, 0.085, -0.285)), 0.055)
+    collide_capsule(shank, leg.place((0.08795, 0.01305, -0.0175)), leg.place(FOOT_IN_SHANK), 0.0175)
     return [hip, thigh, shank, foot]
 
 
 def _add_base_collision(base: mujoco.MjsBody) -> None:
     """A box and a capsule on either side: the description's boxes and cylinders of trunk and faces, end to end."""
-    _collide(base, mujoco.mjtGeom.mjGEOM_BOX, size=[0.5245, 0.07, 0.09])
+    collide(base, mujoco.mjtGeom.mjGEOM_BOX, size=[0.5245, 0.07, 0.09])
     for y in (0.07, -0.07):
-        _collide_capsule(base, (-0.4345, y, 0.0), (0.4345, y, 0.0), 0.09)
+        collide_capsule(base, (-0.4345, y, 0.0), (0.4345, y, 0.0), 0.09)
 
 
 def _add_link(parent: mujoco.MjsBody, leg: Leg, part: str, origin: Vec3, inertial: Inertial) -> mujoco.MjsBody:
     body = parent.add_body(name=f"{leg.name}_{part}", pos=leg.place(origin))
-    _set_inertial(body, leg.reflect(inertial))
+    set_inertial(body, inertial.reflected(leg.x_sign, leg.y_sign))
     return body
-
-
-def _add_hinge(body: mujoco.MjsBody, name: str, axis: Vec3, limits: tuple[float, float]) -> None:
-    body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, range=limits, limited=True)
-
-
-def _set_inertial(body: mujoco.MjsBody, inertial: Inertial) -> None:
-    body.mass = inertial.mass
-    body.ipos = inertial.com
-    body.fullinertia = inertial.inertia
-    body.explicitinertial = True
-
-
-def _collide(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties) -> None:
-    """Add a geom that collides with the terrain (`contype` 1) and not with the robot (`conaffinity` 0)."""
-    properties |= {"group": COLLISION_GROUP, "contype": 1, "conaffinity": 0, "condim": 3, "mass": 0.0}
-    body.add_geom(type=shape, rgba=[0.3, 0.5, 0.8, 0.5], **properties)
-
-
-def _collide_capsule(body: mujoco.MjsBody, start: Vec3, end: Vec3, radius: float) -> None:
-    _collide(body, mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *end], size=[radius, 0, 0])
 
 
 def default_joint_pos() -> tuple[float, ...]:
@@ -236,6 +197,8 @@ ANYMAL_C = Robot(
     joint_names=JOINT_NAMES,
     default_joint_pos=default_joint_pos(),
     standing_height=standing_height(),
+    size=1.0,
+    mass=52.13485,
     action_scale=0.5,
     motors=(ANYDRIVE,) * len(JOINT_NAMES),
     foot_sites=FEET,

@@ -10,9 +10,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-Vec3 = tuple[float, float, float]
+from arrive.robots.parts import VISUAL_GROUP, Vec3
 
-VISUAL_GROUP = 2
 RED = (0.88, 0.22, 0.17)
 BLACK = (0.06, 0.06, 0.07)
 DARK = (0.15, 0.16, 0.18)

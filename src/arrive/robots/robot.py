@@ -8,6 +8,9 @@ import mujoco
 from arrive.actuation import Motor
 from arrive.errors import ArriveError, unknown_name
 
+ANYMAL_C_KG = 52.13485
+"""For which payloads and torques are given."""
+
 
 @dataclass(frozen=True)
 class Robot:
@@ -31,6 +34,10 @@ class Robot:
     """Joint positions that a zero action asks for [rad]."""
     standing_height: float
     """Height of the base above flat ground at the default pose, feet on the ground [m]."""
+    size: float
+    """Its lengths over those of ANYmal C, for which terrain, tasks and observations give theirs."""
+    mass: float
+    """Of all its bodies [kg]."""
     action_scale: float
     """Radians of joint target per unit of action."""
     motors: tuple[Motor, ...]
@@ -56,6 +63,11 @@ class Robot:
         problem = self._problem()
         if problem:
             raise ArriveError(f"robot {self.name!r}: {problem}")
+
+    @property
+    def mass_share(self) -> float:
+        """Its mass over that of ANYmal C."""
+        return self.mass / ANYMAL_C_KG
 
     def motor_of(self, joint: str | None) -> Motor:
         """The motor of a joint, of the first one for None.

@@ -14,7 +14,7 @@ from arrive.task.rotation import rotate_inverse
 from arrive.task.state import Command, State
 
 HEIGHT_OFFSET = 0.5
-"""Heights are given relative to this far below the base (legged_gym) [m]."""
+"""Heights are given relative to this far below the base of a robot of ANYmal C's size (legged_gym) [m]."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def around_command(
     """
     joints = robot.joint_names
     joint_maps = joint_mirror(robot), joint_reverse(robot)
-    grid, clip = HeightGrid(config), config.height_clip
+    grid, clip, offset = HeightGrid(config), config.height_clip, height_offset(robot)
     cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
@@ -102,15 +102,20 @@ def around_command(
         ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, *joint_maps,
                         lambda s, c: s.joint_vel),
         ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, *joint_maps, lambda s, c: s.action),
-        ObservationTerm("heights", "m", "heading, 0.5 m below the base, positive down", cells,
+        ObservationTerm("heights", "m", f"heading, {offset:g} m below the base, positive down", cells,
                         config.height_scale, config.noise_heights, mirror_cells, reverse_cells,
-                        lambda s, c: relative_heights(s).clamp(*clip)),
+                        lambda s, c: relative_heights(s, offset).clamp(*clip)),
     )  # fmt: skip
 
 
-def relative_heights(state: State) -> Tensor:
-    """(n, points) how far the ground lies below the point `HEIGHT_OFFSET` under the base [m]."""
-    return state.base_pos_w[:, 2:3] - HEIGHT_OFFSET - state.heights_w
+def height_offset(robot: Robot) -> float:
+    """How far below the base of a robot the point lies to which heights are relative [m]."""
+    return HEIGHT_OFFSET * robot.size
+
+
+def relative_heights(state: State, offset: float) -> Tensor:
+    """(n, points) how far the ground lies below the point `offset` under the base [m]."""
+    return state.base_pos_w[:, 2:3] - offset - state.heights_w
 
 
 class Observer:

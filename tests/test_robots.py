@@ -1,0 +1,192 @@
+"""What holds of every robot, on those that are built in and on one with six legs of four joints."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from arrive.errors import ArriveError
+from arrive.physics import PhysicsConfig
+from arrive.physics.world import compile_world
+from arrive.presets import robust
+from arrive.recipe import make_config
+from arrive.robots import ROBOTS
+from arrive.robots.robot import Robot
+from arrive.robots.sizing import for_robot
+from arrive.task.heights import HeightGrid
+from arrive.terrain import build_tile, get_family, parse_families
+from hexapod import HEXAPOD
+
+EVERY = [*ROBOTS.values(), HEXAPOD]
+WITH_REVERSE = [robot for robot in EVERY if robot.joint_reverse is not None and robot.name != "anymal_c"]
+"""The base of ANYmal C is no front-back image of itself."""
+
+
+def on_flat_ground(robot: Robot) -> mujoco.MjModel:
+    tile = build_tile(get_family("flat"), 0.0, np.random.default_rng(0), "training")
+    return compile_world(robot, tile, PhysicsConfig())
+
+
+def standing(robot: Robot, model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:7] = [0, 0, robot.standing_height, 1, 0, 0, 0]
+    data.qpos[7:] = data.ctrl[:] = robot.default_joint_pos
+    return data
+
+
+def reflect_joints(robot: Robot, name: str, values: np.ndarray) -> np.ndarray:
+    image = np.empty_like(values)
+    for value, (partner, sign) in zip(values, getattr(robot, name), strict=True):
+        image[robot.joint_names.index(partner)] = sign * value
+    return image
+
+
+@pytest.mark.parametrize("robot", EVERY, ids=lambda robot: robot.name)
+def test_names_masses_and_joints_are_those_of_the_model(robot):
+    model = robot.build_spec(False).compile()
+    hinges = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] != 0]
+    assert tuple(hinges) == robot.joint_names
+    for body in (robot.base_body, *robot.foot_bodies, *robot.collision_bodies, *robot.crash_bodies):
+        assert model.body(body).id > 0
+    assert model.body_mass.sum() == pytest.approx(robot.mass, abs=1e-9)
+    touching = {model.body(i).name for i in model.geom_bodyid}
+    assert touching == {*robot.crash_bodies, *robot.collision_bodies, *robot.foot_bodies}
+    low, high = model.jnt_range[1:].T
+    assert (low < robot.default_joint_pos).all()
+    assert (robot.default_joint_pos < high).all()
+
+
+@pytest.mark.parametrize("robot", EVERY, ids=lambda robot: robot.name)
+def test_stands_on_all_feet_and_stays_there(robot):
+    model = on_flat_ground(robot)
+    data = standing(robot, model)
+    mujoco.mj_forward(model, data)
+    bottoms = [data.site(name).xpos[2] - model.site(name).size[0] for name in robot.foot_sites]
+    np.testing.assert_allclose(bottoms, 0.0, atol=1e-12)
+    mujoco.mj_step(model, data, 1600)
+    start = data.qpos.copy()
+    assert robot.standing_height - start[2] < 0.1 * robot.standing_height
+    mujoco.mj_step(model, data, 400)
+    assert np.linalg.norm(data.qpos[:3] - start[:3]) < 0.002
+    assert data.qpos[3] > 0.999
+
+
+@pytest.mark.parametrize(
+    ("robot", "name", "axis"),
+    [(robot, "joint_mirror", 1) for robot in EVERY] + [(robot, "joint_reverse", 0) for robot in WITH_REVERSE],
+    ids=lambda value: getattr(value, "name", str(value)),
+)
+def test_a_reflected_robot_behaves_like_the_reflection(robot, name, axis):
+    """From a random fall with random joint targets, 0.3 s of physics commute with the reflection of one axis."""
+    model, rng = on_flat_ground(robot), np.random.default_rng(0)
+    polar = np.ones(3)
+    polar[axis] = -1.0
+    quat = np.concatenate([[1.0], -polar])
+
+    def reflected(data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        joints = reflect_joints(robot, name, data.qpos[7:])
+        qpos = np.concatenate([data.qpos[:3] * polar, data.qpos[3:7] * quat, joints])
+        spins = reflect_joints(robot, name, data.qvel[6:])
+        return qpos, np.concatenate([data.qvel[:3] * polar, -data.qvel[3:6] * polar, spins])
+
+    data, image = standing(robot, model), mujoco.MjData(model)
+    data.qpos[3:7] += rng.normal(0, 0.05, 4)
+    data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+    data.qpos[7:] += rng.normal(0, 0.1, model.nu)
+    data.qvel[:] = rng.normal(0, 0.3, model.nv)
+    image.qpos[:], image.qvel[:] = reflected(data)
+    for _ in range(60):
+        data.ctrl[:] = np.array(robot.default_joint_pos) + rng.normal(0, 0.1, model.nu)
+        image.ctrl[:] = reflect_joints(robot, name, data.ctrl)
+        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, image)
+    assert data.ncon > 0
+    qpos, qvel = reflected(data)
+    np.testing.assert_allclose(image.qpos, qpos, atol=1e-7)
+    np.testing.assert_allclose(image.qvel, qvel, atol=1e-5)
+
+
+class TestGo2:
+    """Against Menagerie's model, whose figures were read off the compiled model by a script that shares no code."""
+
+    ROBOT = ROBOTS["go2"]
+    FEET = (
+        (
+            [-0.87, -0.37, -1.21, 0.17, -1.09, -1.91, -0.04, 0.28, -1.34, -0.81, 1.46, -1.75],
+            [
+                (0.4834335, -0.0437341, -0.2010723),
+                (0.4142901, -0.1595848, 0.0943043),
+                (-0.0674298, 0.1295038, -0.3141498),
+                (-0.3461026, -0.2776506, -0.0881943),
+            ],
+        ),
+        (
+            [-0.15, 1.4, -1.33, 0.96, -0.13, -1.5, 0.41, 0.96, -2.72, 0.99, 0.99, -2.13],
+            [
+                (-0.0333937, 0.1037861, -0.260022),
+                (0.4337572, 0.0630555, -0.1932787),
+                (-0.1583128, 0.1675936, -0.0390294),
+                (-0.1787698, 0.0746891, -0.1937682),
+            ],
+        ),
+    )
+    # Mass, centre of mass, principal inertias.
+    LINKS = {  # noqa: RUF012
+        "base": (6.921, (0.021112, 0.0, -0.005366), (0.107027, 0.0980771, 0.0244531)),
+        "FL_hip": (0.678, (-0.0054, 0.00194, -0.000105), (0.00088403, 0.000596003, 0.000479967)),
+        "RR_hip": (0.678, (0.0054, -0.00194, -0.000105), (0.00088403, 0.000596003, 0.000479967)),
+        "FL_thigh": (1.152, (-0.00374, -0.0223, -0.0327), (0.00594973, 0.00584149, 0.000878787)),
+        "RR_thigh": (1.152, (-0.00374, 0.0223, -0.0327), (0.00594973, 0.00584149, 0.000878787)),
+        "FL_calf": (0.241352, (0.00629595, -0.000622121, -0.141417), (0.0014901, 0.00146356, 5.31397e-05)),
+        "RR_calf": (0.241352, (0.00629595, 0.000622121, -0.141417), (0.0014901, 0.00146356, 5.31397e-05)),
+    }
+
+    @pytest.mark.parametrize(("joint_pos", "feet"), FEET)
+    def test_foot_positions(self, joint_pos, feet):
+        model = self.ROBOT.build_spec(False).compile()
+        data = mujoco.MjData(model)
+        data.qpos[7:] = joint_pos
+        mujoco.mj_kinematics(model, data)
+        found = [data.site(site).xpos for site in self.ROBOT.foot_sites]
+        np.testing.assert_allclose(found, feet, atol=1e-6)
+
+    def test_inertials(self):
+        model = self.ROBOT.build_spec(False).compile()
+        for body, (mass, com, inertia) in self.LINKS.items():
+            link = model.body(body)
+            assert link.mass[0] == pytest.approx(mass)
+            np.testing.assert_allclose(link.ipos, com, atol=1e-6, err_msg=body)
+            np.testing.assert_allclose(sorted(link.inertia), sorted(inertia), atol=3e-6, err_msg=body)
+
+    def test_the_knee_has_the_linkages_motor(self):
+        """45.43 N m and 15.7 rad/s are the URDF's limits of the calf."""
+        hip, knee = self.ROBOT.motor_of("FL_hip_joint"), self.ROBOT.motor_of("RR_calf_joint")
+        assert (hip.effort_limit, hip.no_load_speed) == (23.7, 30.1)
+        assert knee.effort_limit == pytest.approx(45.43)
+        assert knee.no_load_speed == pytest.approx(15.7, abs=0.01)
+        assert knee.rotor_inertia / hip.rotor_inertia == pytest.approx(1.917**2, rel=1e-3)
+        model = on_flat_ground(self.ROBOT)
+        assert model.joint("FR_calf_joint").armature[0] == pytest.approx(knee.rotor_inertia)
+        assert model.joint("FR_thigh_joint").armature[0] == pytest.approx(hip.rotor_inertia)
+
+
+def test_a_robot_is_not_chosen_past_its_sizes():
+    with pytest.raises(ArriveError, match=r"choose the robot by --robot go2.*not by --set"):
+        make_config(parse_families("flat"), overrides=("robot=go2",))
+    assert make_config(parse_families("flat"), overrides=("robot=go2",), robot="go2").robot == "go2"
+
+
+def test_a_preset_is_fitted_to_the_robots_size():
+    """ANYmal C keeps every figure; Go2 gets lengths times 0.7 and a payload of its share of the mass."""
+    plain, small = robust(), for_robot(robust(), ROBOTS["go2"])
+    assert for_robot(plain, ROBOTS["anymal_c"]) == plain
+    assert small.robot == "go2"
+    assert small.task.target_height == pytest.approx(0.7 * plain.task.target_height)
+    assert small.randomisation.payload_kg[1] == pytest.approx(5.0 * 15.2064 / 52.13485, rel=1e-3)
+    assert small.randomisation.push_speed == pytest.approx(0.7**0.5, rel=1e-3)
+    assert small.task.target_distance == plain.task.target_distance
+    before, after = HeightGrid(plain.observation).points, HeightGrid(small.observation).points
+    np.testing.assert_allclose(after, 0.7 * before, atol=1e-6)
+    # Torque over mass and length, and angular acceleration over gravity and length, cost the same.
+    torque = 0.7 * 15.2064 / 52.13485
+    assert small.task.rewards["torque_cost"] * torque**2 == pytest.approx(plain.task.rewards["torque_cost"], rel=1e-3)
+    assert small.task.rewards["joint_acc_cost"] / 0.49 == pytest.approx(plain.task.rewards["joint_acc_cost"], rel=1e-3)
