@@ -16,6 +16,7 @@ import numpy as np
 from arrive.config import Config, from_dict
 from arrive.deployment import Controller, HeightMap, Sensors, Target
 from arrive.policies import open_policy
+from arrive.robots import get_robot
 from arrive.simulation import SimulatedRobot
 from arrive.terrain.ground import ground_of
 
@@ -54,7 +55,8 @@ def main(arguments: list[str] | None = None) -> float:
     options = parser.parse_args(arguments)
     policy = open_policy(options.policy)
     config = from_dict(Config, policy.meta["training"]["config"])
-    robot = SimulatedRobot(config, ground_of(options.terrain, options.level, config.terrain.levels).build())
+    ground = ground_of(options.terrain, options.level, config.terrain.levels)
+    robot = SimulatedRobot(config, ground.build(size=get_robot(config.robot).size))
     controller, recent = Controller(policy), deque(maxlen=MAP_DELAY_STEPS + 1)
     goal = Target((DISTANCE_M, 0.0, policy.task.target_height_m), arrive_at_s=TIME_S)
     steps, mode, start_s = round((TIME_S + STAY_S) / policy.period_s), "", time.monotonic()

@@ -15,7 +15,7 @@ from arrive.terrain import FAMILIES, build_tile, get_family, parse_families
 from arrive.terrain.build import target_share
 from arrive.terrain.obstacles import CLEAR_RADIUS, PASSAGE
 from arrive.terrain.rasterise import assemble, dilate
-from arrive.terrain.shapes import EVALUATION_END, EVALUATION_START, GROUND_HALF, square
+from arrive.terrain.shapes import EVALUATION_START, GROUND_HALF, evaluation_span, square
 from arrive.terrain.stairs import TREAD
 from arrive.terrain.tile import MAX_GEOMS, RASTER_CELL, RASTER_SIZE, Box, Tile, cell_centers, cell_index
 
@@ -195,7 +195,7 @@ def test_evaluation_terrain_cannot_be_bypassed():
     """Along every line in +x, 4 m of stairs, slope or rough ground, the gap or the pit's wall lie in the way."""
     for name in set(FAMILIES) - {"flat", "obstacles", "steps"}:
         heights = tile_at(name, "evaluation", 9).heights
-        ahead = heights[cell_index(np.array(EVALUATION_START)) + 1 : cell_index(np.array(EVALUATION_END))]
+        ahead = heights[cell_index(np.array(EVALUATION_START)) + 1 : cell_index(np.array(evaluation_span(1.0)[1]))]
         assert (np.ptp(ahead, axis=0) > 0.05).all(), name
 
 
@@ -288,16 +288,16 @@ def test_levels_run_from_lowest_to_highest_and_no_further():
                 family.value(level, 10)
 
 
-def tile_without_targets(value, rng, layout):
+def tile_without_targets(value, rng, layout, size):
     nowhere = np.zeros((RASTER_SIZE, RASTER_SIZE), dtype=bool)
     return assemble([square(GROUND_HALF, 0.0)], target_valid=nowhere)
 
 
 BROKEN = {
     "valid": tile_without_targets,
-    "no ground": lambda value, rng, layout: assemble([square(2.0, 0.0)]),
-    "ground at the start": lambda value, rng, layout: assemble([square(GROUND_HALF, 0.3)]),
-    "65 geoms": lambda value, rng, layout: assemble([square(GROUND_HALF, 0.0)] * (MAX_GEOMS + 1)),
+    "no ground": lambda value, rng, layout, size: assemble([square(2.0, 0.0)]),
+    "ground at the start": lambda value, rng, layout, size: assemble([square(GROUND_HALF, 0.3)]),
+    "65 geoms": lambda value, rng, layout, size: assemble([square(GROUND_HALF, 0.0)] * (MAX_GEOMS + 1)),
 }
 
 
@@ -336,3 +336,18 @@ def test_dilation_grows_a_cell_to_a_disc():
     mask[140, 0] = True
     i, j = np.indices(mask.shape)
     np.testing.assert_array_equal(dilate(mask, 0.5), np.hypot(i - 140, j) <= 10)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("size", [0.5, 1.5])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_robots_of_other_sizes_have_room(name, size, layout):
+    """Every family passes `build_tile`'s checks, and what lies ahead begins farther away for a larger robot."""
+    family = FAMILIES[name]
+    for value in (family.lowest, family.highest):
+        build_tile(family, value, np.random.default_rng(0), layout, size)
+    tile = build_tile(family, family.highest, np.random.default_rng(0), layout, size)
+    ahead = tile.heights[cell_index(np.array(0.0)) :, cell_index(np.array(0.0))]
+    uneven = np.flatnonzero(np.abs(ahead) > 1e-6)
+    if name != "flat" and len(uneven):
+        assert uneven[0] * RASTER_CELL >= 0.4 * size - RASTER_CELL

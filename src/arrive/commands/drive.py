@@ -23,6 +23,7 @@ def run_drive(command: Drive) -> None:
     from arrive.drive.script import read_script
     from arrive.drive.status import StatusLine, summarise
     from arrive.policies import open_policy
+    from arrive.robots import get_robot
     from arrive.simulation import SimulatedRobot, continued
     from arrive.terrain.ground import ground_of
 
@@ -30,7 +31,9 @@ def run_drive(command: Drive) -> None:
         raise ArriveError(f"--seconds must be positive, not {command.seconds}")
     policy = open_policy(command.policy)
     config: Config = from_dict(Config, policy.meta["training"]["config"])
-    tile = ground_of(command.terrain, command.level, config.terrain.levels).build(command.seed)
+    tile = ground_of(command.terrain, command.level, config.terrain.levels).build(
+        command.seed, get_robot(config.robot).size
+    )
     script = read_script(command.script) if command.script else None
     controls = script or Gamepad()
     seconds = command.seconds or (script.end_s if script else math.inf)

@@ -92,7 +92,7 @@ def build_pool(
         for level, value in enumerate(levels):
             for variant in range(tile_set.variants):
                 if variant == 0 or family.random:
-                    tiles.append(build_tile(family, value, rng, tile_set.layout))
+                    tiles.append(build_tile(family, value, rng, tile_set.layout, robot.size))
                 index[f, level, variant] = len(worlds)
                 tile_of_world.append(len(tiles) - 1)
                 friction, payload = rng.uniform(*spread.friction), rng.uniform(*spread.payload_kg)

@@ -13,6 +13,7 @@ from arrive.drive.driver import Driver
 from arrive.errors import ArriveError
 from arrive.physics.world import sensor_layout
 from arrive.play.skills import Skill
+from arrive.robots import get_robot
 from arrive.simulation import SimulatedRobot, continued
 from arrive.terrain.build import EVALUATION_TARGET
 from arrive.terrain.ground import Ground
@@ -212,7 +213,9 @@ class Playground:
         return origin + distance * direction if distance >= 0.0 else None
 
     def _robot(self, skill: Skill, ground: Ground) -> SimulatedRobot:
-        return SimulatedRobot(skill.config, continued(ground.build(self._seed)), visuals=True)
+        return SimulatedRobot(
+            skill.config, continued(ground.build(self._seed, get_robot(skill.config.robot).size)), visuals=True
+        )
 
     def _start(self) -> None:
         """The robot stands at its start and knows of nothing that was before."""

@@ -5,36 +5,37 @@ import numpy as np
 from arrive.errors import ArriveError
 from arrive.terrain.family import Family, Layout
 from arrive.terrain.rasterise import DEEP_FLOOR, cell_grid
-from arrive.terrain.tile import MAX_GEOMS, Tile, cell_index
+from arrive.terrain.tile import MAX_GEOMS, START_RADIUS, Tile, cell_index
 
 TARGET_RADIUS = (1.0, 5.0)
 """Training targets are uniform in this radius [m] and in angle (paper, section Episode Process)."""
 EVALUATION_TARGET = (5.0, 0.0)
 """Target of the evaluation layout [m] (paper, section Maximum Terrain Difficulty)."""
-START_RADIUS = 0.4
-"""The ground is level this far around the start [m]."""
 MIN_VALID_SHARE = 0.25
 """Least share of the training targets that must be valid, or re-sampling gets slow."""
 MIN_CROSSING_SHARE = 0.05
 """Least share that must be valid and count as crossing, or the curriculum gets no evidence."""
 
 
-def build_tile(family: Family, value: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build_tile(family: Family, value: float, rng: np.random.Generator, layout: Layout, size: float = 1.0) -> Tile:
     """Build a tile of the family and check it.
+
+    Args:
+        size: of the robot that is to stand there, see `Robot.size`.
 
     Raises:
         ArriveError: too many geoms, cells without ground, a start that is not level at height zero, or too few valid
             targets; the message names the family and the value.
     """
-    tile = family.build(value, rng, layout)
-    problem = _ground_problem(tile) or _target_problem(tile, layout)
+    tile = family.build(value, rng, layout, size)
+    problem = _ground_problem(tile, size) or _target_problem(tile, layout)
     if problem:
         parameter = f"{family.parameter} {value:g} {family.unit}".strip()
         raise ArriveError(f"terrain {family.name!r} with {parameter} ({layout} layout): {problem}")
     return tile
 
 
-def _ground_problem(tile: Tile) -> str:
+def _ground_problem(tile: Tile, size: float) -> str:
     """What is wrong with the shapes, or an empty string."""
     num_geoms = len(tile.boxes) + (tile.height_field is not None)
     if num_geoms > MAX_GEOMS:
@@ -42,7 +43,7 @@ def _ground_problem(tile: Tile) -> str:
     if not (tile.heights > DEEP_FLOOR).all():
         return f"{(tile.heights <= DEEP_FLOOR).sum()} cells of the raster have no ground"
     x, y = cell_grid()
-    start = tile.heights[np.hypot(x, y) <= START_RADIUS]
+    start = tile.heights[np.hypot(x, y) <= START_RADIUS * size]
     if np.abs(start).max() > 1e-6:
         return f"the ground at the start is between {start.min():.3f} and {start.max():.3f} m high instead of 0"
     return ""

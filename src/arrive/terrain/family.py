@@ -13,12 +13,14 @@ Layout = Literal["training", "evaluation"]
 """`training` surrounds the robot with the terrain; `evaluation` puts 4 m of it ahead, between the robot and a target
 5 m in front (paper, section Maximum Terrain Difficulty)."""
 
-TileBuilder = Callable[[float, np.random.Generator, Layout], Tile]
+TileBuilder = Callable[[float, np.random.Generator, Layout, float], Tile]
+"""Of the parameter's value, a generator, the layout, and the size of the robot that is to stand there, 1 for ANYmal C:
+what must have room for the robot scales with it, and what is hard to cross does not."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of terrain; `build(value, rng, layout)` makes a tile whose parameter has the given value."""
+    """A kind of terrain; `build(value, rng, layout, size)` makes a tile whose parameter has the given value."""
 
     name: str
     description: str

@@ -11,7 +11,7 @@ REACH = 250.0
 """Half the edge of the ground [m]: robots walk 100 m on it; beyond the raster its edge, of height zero, counts."""
 
 
-def build(value: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build(value: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """One slab; every target is valid and, since there is nothing to cross, counts as crossing."""
     return assemble([square(REACH, 0.0)], palette=[LIGHT])
 

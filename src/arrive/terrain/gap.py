@@ -9,6 +9,7 @@ from arrive.terrain.rasterise import assemble, beyond_x, dilate, inside_square
 from arrive.terrain.shapes import ABYSS, GROUND_HALF, LIGHT, START, WHOLE, block, frame, square
 from arrive.terrain.tile import Tile
 
+# Lengths that must have room for the robot are those for ANYmal C.
 PLATFORM_HALF = 1.2
 """Half the edge of the platform that the first ring gap surrounds in training [m]."""
 PLATEAU = 1.3
@@ -31,7 +32,7 @@ EDGE_MARGIN = 0.35
 """Targets nearer to a gap than this are invalid [m]: a robot standing there would have feet over the hole."""
 
 
-def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build(width: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """Gaps around the platform (training) or one across the way (evaluation); crossing means being beyond the first.
 
     Crossing takes half a second of an episode: where a second ring fits, training sees twice as much of it. Training's
@@ -40,26 +41,28 @@ def build(width: float, rng: np.random.Generator, layout: Layout) -> Tile:
     depth = min(DEPTH, SHALLOWEST + DEPTH_PER_WIDTH * (width - NARROWEST)) if layout == "training" else DEPTH
     bottom = square(GROUND_HALF, -depth)
     if layout == "training":
-        rings = list(pairwise([*_ring_edges(width), GROUND_HALF]))
+        platform = PLATFORM_HALF * size
+        rings = list(pairwise([*_ring_edges(width, platform, PLATEAU * size), GROUND_HALF]))
         gaps, grounds = rings[::2], rings[1::2]
-        boxes = [bottom, square(PLATFORM_HALF, 0.0), *(box for ring in grounds for box in frame(*ring, 0.0))]
+        boxes = [bottom, square(platform, 0.0), *(box for ring in grounds for box in frame(*ring, 0.0))]
         hole = np.any([inside_square(far) & ~inside_square(near) for near, far in gaps], axis=0)
         beyond = ~inside_square(gaps[0][1]) & ~hole
     else:
-        far_edge = EVALUATION_GAP_X + width
-        near_side, far_side = (-GROUND_HALF, EVALUATION_GAP_X), (far_edge, GROUND_HALF)
+        near_edge = EVALUATION_GAP_X * size
+        far_edge = near_edge + width
+        near_side, far_side = (-GROUND_HALF, near_edge), (far_edge, GROUND_HALF)
         boxes = [bottom, block(near_side, WHOLE, 0.0), block(far_side, WHOLE, 0.0)]
         beyond = beyond_x(far_edge)
-        hole = beyond_x(EVALUATION_GAP_X) & ~beyond
+        hole = beyond_x(near_edge) & ~beyond
     palette = [ABYSS, START] + [LIGHT] * (len(boxes) - 2)
-    valid = ~dilate(hole, EDGE_MARGIN)
-    return assemble(boxes, palette, valid, beyond, fall_height=FALL_HEIGHT)
+    valid = ~dilate(hole, EDGE_MARGIN * size)
+    return assemble(boxes, palette, valid, beyond, fall_height=FALL_HEIGHT * size)
 
 
-def _ring_edges(width: float) -> list[float]:
+def _ring_edges(width: float, platform: float, plateau: float) -> list[float]:
     """Distances of the near and far edges of the training layout's gaps from its middle, nearest first [m]."""
-    edges = [PLATFORM_HALF, PLATFORM_HALF + width]
-    while (near := edges[-1] + PLATEAU) + width <= LAST_EDGE:
+    edges = [platform, platform + width]
+    while (near := edges[-1] + plateau) + width <= LAST_EDGE:
         edges += [near, near + width]
     return edges
 

@@ -29,9 +29,9 @@ class Ground:
         family = self.family
         return f"{family.description}, {family.parameter} {self.amount}" if self.amount else family.description
 
-    def build(self, seed: int = 1) -> Tile:
-        """The tile; `seed` decides terrain that is random."""
-        return build_tile(self.family, self.value, np.random.default_rng(seed), self.layout)
+    def build(self, seed: int = 1, size: float = 1.0) -> Tile:
+        """The tile for a robot of this size; `seed` decides terrain that is random."""
+        return build_tile(self.family, self.value, np.random.default_rng(seed), self.layout, size)
 
 
 def varies(family: Family) -> bool:

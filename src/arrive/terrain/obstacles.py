@@ -17,6 +17,7 @@ LOWEST_HEIGHT, FULL_HEIGHT_FROM = 0.02, 0.5
 """Height of training's first pillars [m], and the largest side at which they have all of `HEIGHT` [m]."""
 FEWEST = 20
 """Pillars of training's first level."""
+# Room for the robot is that for ANYmal C.
 PASSAGE = 1.0
 """Least free distance between two pillars [m]; a robot 0.6 m wide passes, so every target can be reached."""
 CLEAR_RADIUS = 1.2
@@ -40,7 +41,7 @@ EVALUATION_HALF_Y = 6.0
 """Their centres lie within this of the straight line [m]: too far for a way around all of them."""
 
 
-def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build(side: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """Square pillars at random places with passages between; in evaluation the first one blocks the straight line.
 
     In training `side` is that of the widest pillars; the others are narrower, because narrow and wide ones ask for
@@ -55,18 +56,18 @@ def build(side: float, rng: np.random.Generator, layout: Layout) -> Tile:
         height, most = _grown(side)
         sides = rng.uniform(NARROWEST, side, MAX_DARTS)
     else:
-        low = np.array([EVALUATION_X[0] + side / 2, -EVALUATION_HALF_Y])
+        low = np.array([EVALUATION_X[0] * size + side / 2, -EVALUATION_HALF_Y])
         high = np.array([EVALUATION_X[1] - side / 2, EVALUATION_HALF_Y])
         first = [rng.uniform((max(low[0], 2.2), -0.1), (min(high[0], 3.4), 0.1))]
         height, most = HEIGHT, MAX_PILLARS
         sides = np.full(MAX_DARTS, side)
-    centers, sides = _throw_darts(first, rng.uniform(low, high, (MAX_DARTS, 2)), sides, most)
+    centers, sides = _throw_darts(first, rng.uniform(low, high, (MAX_DARTS, 2)), sides, most, size)
     pillars = [
         block((x - s / 2, x + s / 2), (y - s / 2, y + s / 2), height) for (x, y), s in zip(centers, sides, strict=True)
     ]
     palette = [LIGHT] + [ACCENT] * len(pillars)
-    valid = ~dilate(_covered(centers, sides / 2), STANDING_RADIUS)
-    hidden = _hidden(centers, sides / 2 + ROBOT_HALF_WIDTH)
+    valid = ~dilate(_covered(centers, sides / 2), STANDING_RADIUS * size)
+    hidden = _hidden(centers, sides / 2 + ROBOT_HALF_WIDTH * size)
     return assemble([square(GROUND_HALF, 0.0), *pillars], palette, valid, hidden, parted=False)
 
 
@@ -77,7 +78,7 @@ def _grown(side: float) -> tuple[float, int]:
 
 
 def _throw_darts(
-    first: list[np.ndarray], darts: np.ndarray, sides: np.ndarray, most: int
+    first: list[np.ndarray], darts: np.ndarray, sides: np.ndarray, most: int, size: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pillars, 2) centres and (pillars,) sides [m]: `first`, then darts that keep clear of the start and each other.
 
@@ -85,13 +86,15 @@ def _throw_darts(
         darts: (n, 2) places to try [m].
         sides: (n,) of the pillars there [m]; `first` has those of the first darts.
         most: stop at this many pillars.
+        size: of the robot.
     """
+    passage, clear = PASSAGE * size, CLEAR_RADIUS * size
     centers, kept = list(first), list(sides[: len(first)])
     for dart, side in zip(darts, sides, strict=True):
         if len(centers) == most:
             break
-        free = _distance(dart, side / 2) >= CLEAR_RADIUS
-        apart = (_distance(dart - other, (side + own) / 2) >= PASSAGE for other, own in zip(centers, kept, strict=True))
+        free = _distance(dart, side / 2) >= clear
+        apart = (_distance(dart - other, (side + own) / 2) >= passage for other, own in zip(centers, kept, strict=True))
         if free and all(apart):
             centers.append(dart)
             kept.append(side)

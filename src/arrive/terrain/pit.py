@@ -7,6 +7,7 @@ from arrive.terrain.rasterise import assemble, beyond_x, dilate, inside_square
 from arrive.terrain.shapes import EARTH, GROUND_HALF, START, WHOLE, block, frame, square
 from arrive.terrain.tile import Tile
 
+# Lengths are those for ANYmal C.
 FLOOR_HALF = 1.5
 """Half the edge of the square floor in training [m]: a 1.1 m long robot can turn on it."""
 EVALUATION_WALL_X = 2.0
@@ -15,16 +16,18 @@ EDGE_MARGIN = 0.35
 """Targets nearer to the wall than this, above or below, are invalid [m]: the robot cannot stand astride it."""
 
 
-def build(depth: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build(depth: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """A floor and higher ground around (training) or ahead (evaluation); crossing means standing up there."""
     if layout == "training":
-        boxes = [square(FLOOR_HALF, 0.0), *frame(FLOOR_HALF, GROUND_HALF, depth)]
-        outside = ~inside_square(FLOOR_HALF)
+        half = FLOOR_HALF * size
+        boxes = [square(half, 0.0), *frame(half, GROUND_HALF, depth)]
+        outside = ~inside_square(half)
     else:
-        floor, ground = (-GROUND_HALF, EVALUATION_WALL_X), (EVALUATION_WALL_X, GROUND_HALF)
+        wall = EVALUATION_WALL_X * size
+        floor, ground = (-GROUND_HALF, wall), (wall, GROUND_HALF)
         boxes = [block(floor, WHOLE, 0.0), block(ground, WHOLE, depth)]
-        outside = beyond_x(EVALUATION_WALL_X)
-    near_wall = dilate(outside, EDGE_MARGIN) & dilate(~outside, EDGE_MARGIN)
+        outside = beyond_x(wall)
+    near_wall = dilate(outside, EDGE_MARGIN * size) & dilate(~outside, EDGE_MARGIN * size)
     palette = [START] + [EARTH] * (len(boxes) - 1)
     return assemble(boxes, palette, target_valid=~near_wall, crossing=outside)
 

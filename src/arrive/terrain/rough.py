@@ -4,26 +4,29 @@ import numpy as np
 
 from arrive.terrain.family import Family, Layout
 from arrive.terrain.rasterise import assemble
-from arrive.terrain.shapes import EARTH, EVALUATION_END, EVALUATION_START, GROUND_HALF
-from arrive.terrain.tile import HeightField, Tile
+from arrive.terrain.shapes import EARTH, GROUND_HALF, evaluation_span
+from arrive.terrain.tile import START_RADIUS, HeightField, Tile
 
 GRID = 0.2
 """Distance of the random heights [m] (legged_gym's `downsampled_scale`); triangles between them."""
-LEVEL_RADIUS = 0.7
-"""Vertices this near to the start are at height zero [m], which makes 0.4 m around it level."""
-FULL_RADIUS = 1.1
-"""From here on the surface is as rough as anywhere [m]."""
+LEVEL_MARGIN = 0.3
+"""Vertices this far beyond `START_RADIUS` are still at height zero [m], so that all within that radius is level."""
+RAMP = 0.4
+"""After so much more the surface is as rough as anywhere [m]."""
 
 
-def build(amplitude: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build(amplitude: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """Vertex heights uniform in [-amplitude, amplitude] [m]; every target is valid and counts as crossing."""
     vertices = np.linspace(-GROUND_HALF, GROUND_HALF, round(2 * GROUND_HALF / GRID) + 1)
     x, y = vertices[:, None], vertices[None, :]
     heights = rng.uniform(-amplitude, amplitude, (vertices.size, vertices.size))
     if layout == "training":
-        heights *= np.clip((np.hypot(x, y) - LEVEL_RADIUS) / (FULL_RADIUS - LEVEL_RADIUS), 0.0, 1.0)
+        level = START_RADIUS * size + LEVEL_MARGIN
+        full = level + RAMP
+        heights *= np.clip((np.hypot(x, y) - level) / (full - level), 0.0, 1.0)
     else:
-        heights *= (x > EVALUATION_START + GRID / 2) & (x < EVALUATION_END - GRID / 2)
+        start, end = evaluation_span(size)
+        heights *= (x > start + GRID / 2) & (x < end - GRID / 2)
     return assemble([], [EARTH], height_field=HeightField(heights, GROUND_HALF))
 
 

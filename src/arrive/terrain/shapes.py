@@ -9,9 +9,10 @@ GROUND_HALF = RASTER_HALF + 1.0
 THICKNESS = 1.0
 """Least thickness of the ground [m]; what sinks in by a few centimetres must not meet the far side."""
 EVALUATION_START = 0.6
-"""x at which the terrain of the evaluation layout begins [m]: just ahead of the front feet of a 1.1 m long robot."""
-EVALUATION_END = EVALUATION_START + 4.0
-"""x at which it ends [m]: the robot crosses 4 m of it (paper, section Maximum Terrain Difficulty)."""
+"""x at which the terrain of the evaluation layout begins for ANYmal C [m]: just ahead of the front feet of a 1.1 m long
+robot."""
+EVALUATION_LENGTH = 4.0
+"""How much of it the robot crosses (paper, section Maximum Terrain Difficulty) [m]."""
 
 Colour = tuple[float, float, float]
 START: Colour = (0.62, 0.67, 0.62)
@@ -23,6 +24,11 @@ ACCENT: Colour = (0.80, 0.48, 0.32)
 
 WHOLE = (-GROUND_HALF, GROUND_HALF)
 """Interval that spans the ground along one axis [m]."""
+
+
+def evaluation_span(size: float) -> tuple[float, float]:
+    """x at which the terrain of the evaluation layout begins and ends for a robot of this size [m]."""
+    return EVALUATION_START * size, EVALUATION_START * size + EVALUATION_LENGTH
 
 
 def block(x: tuple[float, float], y: tuple[float, float], top: float) -> Box:

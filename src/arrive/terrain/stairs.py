@@ -7,47 +7,50 @@ import numpy as np
 
 from arrive.terrain.family import Family, Layout
 from arrive.terrain.rasterise import assemble, beyond_x, inside_square
-from arrive.terrain.shapes import DARK, EVALUATION_START, GROUND_HALF, LIGHT, START, WHOLE, block, frame, square
+from arrive.terrain.shapes import DARK, GROUND_HALF, LIGHT, START, WHOLE, block, evaluation_span, frame, square
 from arrive.terrain.tile import Box, Tile
 
 TREAD = 0.31
 """Depth of a step [m] (legged_gym's pyramid stairs)."""
 PLATFORM_HALF = 1.0
-"""Half the edge of the square in the middle in training [m]."""
+"""Half the edge of the square in the middle in training, for ANYmal C [m]."""
 TRAINING_STEPS = 12
-"""Steps around the platform; the last, the landing, begins 4.41 m out, so that some of the far targets lie on it."""
+"""Steps around the platform; the last, the landing, begins 4.41 m out for ANYmal C, so that some of the far targets
+lie on it."""
 EVALUATION_STEPS = 13
 """Steps of the evaluation layout: 13 treads are 4.03 m."""
 
 
-def build(rise: float, rng: np.random.Generator, layout: Layout, direction: int) -> Tile:
+def build(rise: float, rng: np.random.Generator, layout: Layout, size: float, direction: int) -> Tile:
     """Square rings of steps outwards (training) or a flight along +x (evaluation), up (+1) or down (-1).
 
     Every target is valid; crossing means standing on a step.
     """
     if layout == "training":
-        rings = _rings(rise, direction)
-        on_steps = ~inside_square(PLATFORM_HALF)
+        half = PLATFORM_HALF * size
+        rings = _rings(rise, direction, half)
+        on_steps = ~inside_square(half)
     else:
-        rings = _flight(direction * rise)
-        on_steps = beyond_x(EVALUATION_START)
+        start, _ = evaluation_span(size)
+        rings = _flight(direction * rise, start)
+        on_steps = beyond_x(start)
     boxes = [box for ring in rings for box in ring]
     palette = [_colour(k) for k, ring in enumerate(rings) for _ in ring]
     return assemble(boxes, palette, crossing=on_steps)
 
 
-def _rings(rise: float, direction: int) -> list[list[Box]]:
+def _rings(rise: float, direction: int, half: float) -> list[list[Box]]:
     """The platform and its rings of steps: frames where they rise, nested squares where they fall."""
-    edges = [PLATFORM_HALF + k * TREAD for k in range(TRAINING_STEPS)] + [GROUND_HALF]
+    edges = [half + k * TREAD for k in range(TRAINING_STEPS)] + [GROUND_HALF]
     if direction < 0:
         return [[square(edge, -k * rise)] for k, edge in enumerate(edges)]
     steps = [frame(inner, outer, (k + 1) * rise) for k, (inner, outer) in enumerate(pairwise(edges))]
-    return [[square(PLATFORM_HALF, 0.0)], *steps]
+    return [[square(half, 0.0)], *steps]
 
 
-def _flight(height_per_step: float) -> list[list[Box]]:
+def _flight(height_per_step: float, start: float) -> list[list[Box]]:
     """The ground before the flight and its steps; the last is the landing."""
-    edges = [EVALUATION_START + k * TREAD for k in range(EVALUATION_STEPS)]
+    edges = [start + k * TREAD for k in range(EVALUATION_STEPS)]
     intervals = pairwise([-GROUND_HALF, *edges, GROUND_HALF])
     return [[block(interval, WHOLE, k * height_per_step)] for k, interval in enumerate(intervals)]
 

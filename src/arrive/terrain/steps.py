@@ -7,13 +7,12 @@ from arrive.terrain.rasterise import assemble
 from arrive.terrain.shapes import (
     ACCENT,
     DARK,
-    EVALUATION_END,
-    EVALUATION_START,
     GROUND_HALF,
     LIGHT,
     START,
     WHOLE,
     block,
+    evaluation_span,
     frame,
     square,
 )
@@ -23,7 +22,7 @@ Rectangle = tuple[float, float, float, float]
 """x from, x to, y from, y to [m]."""
 
 PLATFORM_HALF = 0.8
-"""Half the edge of the level square in the middle in training [m]."""
+"""Half the edge of the level square in the middle in training, for ANYmal C [m]."""
 TRAINING_HALF = 5.6
 """Half the edge of the square that is cut into steps in training [m]; level ground lies beyond."""
 TRAINING_STEPS = 58
@@ -34,27 +33,29 @@ CUT = (0.35, 0.65)
 """A rectangle is cut across its longer side at a fraction of it drawn from this range."""
 
 
-def build(height: float, rng: np.random.Generator, layout: Layout) -> Tile:
+def build(height: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """Rectangles at heights drawn from {-h, -h/2, 0, h/2, h}, so that neighbours differ by up to 2 h.
 
     These are legged_gym's heights and, as here the steps leave no ground between them, zero. Every target is valid
     and counts as crossing, wherever it is.
     """
     if layout == "training":
-        fixed = [square(PLATFORM_HALF, 0.0), *frame(TRAINING_HALF, GROUND_HALF, 0.0)]
-        steps = partition(_pinwheel(rng), TRAINING_STEPS, rng)
+        half = PLATFORM_HALF * size
+        fixed = [square(half, 0.0), *frame(TRAINING_HALF, GROUND_HALF, 0.0)]
+        steps = partition(_pinwheel(rng, half), TRAINING_STEPS, rng)
     else:
-        fixed = [block((-GROUND_HALF, EVALUATION_START), WHOLE, 0.0), block((EVALUATION_END, GROUND_HALF), WHOLE, 0.0)]
-        steps = partition([(EVALUATION_START, EVALUATION_END, *WHOLE)], EVALUATION_STEPS, rng)
+        start, end = evaluation_span(size)
+        fixed = [block((-GROUND_HALF, start), WHOLE, 0.0), block((end, GROUND_HALF), WHOLE, 0.0)]
+        steps = partition([(start, end, *WHOLE)], EVALUATION_STEPS, rng)
     multiples = rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], size=len(steps))
     boxes = [block(step[:2], step[2:], m * height) for step, m in zip(steps, multiples, strict=True)]
     palette = [START] * len(fixed) + [_colour(m) for m in multiples]
     return assemble([*fixed, *boxes], palette)
 
 
-def _pinwheel(rng: np.random.Generator) -> list[Rectangle]:
+def _pinwheel(rng: np.random.Generator, half: float) -> list[Rectangle]:
     """Four equal rectangles around the platform, turning in a random sense."""
-    p, q = PLATFORM_HALF, TRAINING_HALF
+    p, q = half, TRAINING_HALF
     east, north, west, south = (p, q, -p, q), (-q, p, p, q), (-q, -p, -q, p), (-p, q, -q, -p)
     wheel = [east, north, west, south]
     return wheel if rng.random() < 0.5 else [(y0, y1, x0, x1) for x0, x1, y0, y1 in wheel]

@@ -12,6 +12,9 @@ RASTER_SIZE = round(2 * RASTER_HALF / RASTER_CELL)
 MAX_GEOMS = 64
 """Every tile compiles to this many terrain geoms; unused ones are parked far below."""
 
+START_RADIUS = 0.4
+"""The ground is level this far around the start of a robot of ANYmal C's size [m]."""
+
 
 @dataclass(frozen=True)
 class Box:
