@@ -274,7 +274,7 @@ def check_run_folder(folder) -> None:
     assert any((folder / "tensorboard").iterdir())
     assert Image.open(folder / "curves.png").size[0] > 500
     record = json.loads((folder / "config.json").read_text())
-    assert set(record) == {"config", "commit", "command", "seed", "samples_before"}
+    assert set(record) == {"config", "commit", "command", "seed", "samples_before", "imports"}
     assert record["seed"] == record["config"]["seed"] == 7
     assert record["command"].startswith("arrive train flat --iterations 3 --seed 7")
     assert record["commit"]

@@ -11,7 +11,7 @@ from arrive.presets import robust
 from arrive.recipe import make_config
 from arrive.robots import ROBOTS
 from arrive.robots.robot import Robot
-from arrive.robots.sizing import for_robot
+from arrive.sizing import for_robot
 from arrive.task.heights import HeightGrid
 from arrive.terrain import build_tile, get_family, parse_families
 from hexapod import HEXAPOD

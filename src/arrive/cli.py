@@ -11,9 +11,12 @@ import tyro
 from arrive.commands.actuator import Actuator
 from arrive.errors import ArriveError
 from arrive.neighbours import wait_considerately
+from arrive.plugins import import_module, import_packages
 
 DEBUG = "--debug"
 """Option of every command: problems show their traceback."""
+IMPORT = "--import"
+"""Option of every command: a module whose robots, terrains and more can be used by name."""
 
 
 @dataclass(frozen=True)
@@ -264,14 +267,33 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
-    command = tyro.cli(Command, prog="arrive", description=f"{__doc__} {DEBUG} shows tracebacks.", args=words)
+    imports, words = _imports(words)
+    description = f"{__doc__} {DEBUG} shows tracebacks; {IMPORT} FILE.py adds robots, terrains and more of your own."
+    command = tyro.cli(Command, prog="arrive", description=description, args=words)
     try:
+        for source in imports:
+            import_module(source)
+        import_packages()
         _run(command)
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             raise
         print(f"arrive: {_one_line(error)}", file=sys.stderr)
         sys.exit(1)
+
+
+def _imports(words: list[str]) -> tuple[list[str], list[str]]:
+    """What --import names, and the other words."""
+    sources, others, words = [], [], list(words)
+    while words:
+        word = words.pop(0)
+        if word == IMPORT and words:
+            sources.append(words.pop(0))
+        elif word.startswith(f"{IMPORT}="):
+            sources.append(word.partition("=")[2])
+        else:
+            others.append(word)
+    return sources, others
 
 
 def _one_line(error: BaseException) -> str:

@@ -8,7 +8,7 @@ from arrive.errors import ArriveError
 from arrive.learning.networks import choose_precision
 from arrive.presets import get_preset
 from arrive.robots import get_robot
-from arrive.robots.sizing import for_robot
+from arrive.sizing import for_robot
 from arrive.task.registry import get_task
 from arrive.terrain import Family
 from arrive.validate import validate

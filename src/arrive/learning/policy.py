@@ -14,7 +14,7 @@ from arrive.errors import ArriveError
 from arrive.learning.checkpoint import POLICY_NAME, Origin, check_schema, load_policy_file
 from arrive.learning.networks import Network
 from arrive.learning.ppo import make_actor
-from arrive.learning.rundir import with_own_motor
+from arrive.learning.rundir import require_imports, with_own_motor
 from arrive.policies import find_run
 
 CPU = torch.device("cpu")
@@ -63,6 +63,7 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     """
     path = find_run(path)
     path = path / POLICY_NAME if path.is_dir() else path
+    require_imports(path.parent)
     origin, weights = load_policy_file(path)
     actor = _make_actor(origin, weights, path).to(device)
     config = with_own_motor(origin.config, path.parent)

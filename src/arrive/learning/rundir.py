@@ -18,6 +18,7 @@ from arrive.files import cannot_write, read_json, remove_unfinished, write_bytes
 from arrive.learning.checkpoint import CHECKPOINT_NAME, POLICY_NAME
 from arrive.learning.logs import LOG_NAME
 from arrive.lock import Lock
+from arrive.plugins import imported, require
 
 CONFIG_NAME = "config.json"
 LOCK_NAME = "run.lock"
@@ -133,10 +134,23 @@ def write_config(folder: Path, config: Config, before: int = 0) -> None:
         "command": shlex.join(["arrive", *sys.argv[1:]]),
         "seed": config.seed,
         "samples_before": before,
+        "imports": imported(),
     }
     if config.physics.motor_file:
         write_bytes(folder / MOTOR_NAME, Path(config.physics.motor_file).read_bytes())
     write_json(folder / CONFIG_NAME, content)
+
+
+def require_imports(folder: Path) -> None:
+    """Make sure that the modules a run was made with are imported, where a folder says which they were.
+
+    Raises:
+        ArriveError: one is not; says how to import it.
+    """
+    path = folder / CONFIG_NAME
+    modules = read_json(path).get("imports", {}) if path.is_file() else {}
+    if isinstance(modules, dict):
+        require({str(name): str(source) for name, source in modules.items()}, folder)
 
 
 def with_own_motor(config: Config, folder: Path) -> Config:
@@ -165,6 +179,7 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
             raise ArriveError(f"cannot read {path}: {name} must be {kind.__name__}, not {content.get(name)!r:.60}")
     if not isinstance(content.get("samples_before", 0), int):
         raise ArriveError(f"cannot read {path}: samples_before must be a number, not {content['samples_before']!r:.60}")
+    require_imports(folder)
     try:
         return with_own_motor(from_dict(Config, content["config"]), folder), content
     except ArriveError as error:

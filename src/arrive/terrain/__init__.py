@@ -1,6 +1,9 @@
 """The terrain families; a new one is one module and one line in `FAMILIES`."""
 
+import numpy as np
+
 from arrive.errors import ArriveError, unknown_name
+from arrive.registry import add
 from arrive.terrain.build import build_tile
 from arrive.terrain.family import Family, Layout
 from arrive.terrain.flat import FLAT
@@ -29,7 +32,19 @@ FAMILIES: dict[str, Family] = {
     )
 }
 
-__all__ = ["FAMILIES", "Family", "Layout", "Tile", "build_tile", "get_family", "parse_families"]
+__all__ = ["FAMILIES", "Family", "Layout", "Tile", "build_tile", "get_family", "parse_families", "register_terrain"]
+
+
+def register_terrain(family: Family) -> None:
+    """Add a terrain family of one's own, which can then be trained on by its name; see docs/extend.md.
+
+    Raises:
+        ArriveError: the name is taken, or a tile is not what `build_tile` asks for.
+    """
+    for layout in ("training", "evaluation"):
+        for value in {family.lowest, family.highest}:
+            build_tile(family, value, np.random.default_rng(0), layout)
+    add("terrain", FAMILIES, family.name, family)
 
 
 def get_family(name: str) -> Family:

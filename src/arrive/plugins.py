@@ -1,0 +1,95 @@
+"""Robots, terrains and more from a user's own module: `--import my_module.py`, or an installed package.
+
+A module registers what it has when it is imported. A package that names its modules in the entry-point group
+`arrive.plugins` needs no `--import`.
+"""
+
+import importlib
+import importlib.util
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+from arrive.errors import ArriveError
+
+GROUP = "arrive.plugins"
+"""Entry-point group of packages whose modules are imported by every command."""
+
+_imported: dict[str, str] = {}
+
+
+def imported() -> dict[str, str]:
+    """The modules that were imported for what they register: name, and where it came from."""
+    return dict(_imported)
+
+
+def import_module(source: str) -> ModuleType:
+    """Import a module for what it registers; a second time it is not run again.
+
+    Args:
+        source: a file that ends in .py, or the dotted name of an installed module.
+
+    Raises:
+        ArriveError: there is no such module, or it failed; names the module and what went wrong.
+    """
+    path = Path(source)
+    name = path.stem if path.suffix == ".py" else source
+    if name in _imported:
+        return sys.modules[name]
+    if path.suffix == ".py" and not path.is_file():
+        raise ArriveError(f"--import {source}: there is no such file")
+    if path.suffix == ".py" and name in sys.modules:
+        raise ArriveError(f"--import {source}: a module {name!r} is loaded already; give the file another name")
+    try:
+        module = _run_file(name, path) if path.suffix == ".py" else importlib.import_module(source)
+    except ArriveError as error:
+        raise ArriveError(f"--import {source}: {error}") from error
+    except Exception as error:  # whatever a user's module raises
+        raise ArriveError(f"--import {source} failed: {type(error).__name__}: {error}") from error
+    _imported[name] = str(path.resolve()) if path.suffix == ".py" else source
+    return module
+
+
+def _run_file(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def import_packages() -> None:
+    """Import the modules that installed packages name in the group `arrive.plugins`.
+
+    Raises:
+        ArriveError: one of them failed; names its package.
+    """
+    for point in entry_points(group=GROUP):
+        if point.value in _imported:
+            continue
+        package = point.dist.name if point.dist else point.name
+        try:
+            point.load()
+        except Exception as error:  # whatever a package's module raises
+            raise ArriveError(
+                f"the package {package} cannot be loaded (entry point {point.name!r} of {GROUP}): "
+                f"{type(error).__name__}: {error}. Mend or uninstall it."
+            ) from error
+        _imported[point.value] = f"package {package}"
+
+
+def require(modules: dict[str, str], whose: Path) -> None:
+    """Make sure that the modules a run was made with are imported.
+
+    Raises:
+        ArriveError: one is not; says how to import it. A run's record alone must not run anything.
+    """
+    for name, source in modules.items():
+        if name not in _imported:
+            option = f"--import {source}" if source.endswith(".py") or source == name else f"the {source}"
+            raise ArriveError(f"{whose} was made with the module {name!r}: add {option}")

@@ -1,0 +1,141 @@
+"""Modules of users: the guides in docs/extend.md are followed as they are written, and bad modules are refused."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from arrive import cli, plugins
+from arrive.deployment.policy_file import read_policy_file
+from arrive.robots import ROBOTS
+from arrive.terrain import FAMILIES
+
+GUIDES = Path(__file__).parents[1] / "docs" / "extend.md"
+SHORT = [
+    "task.episode_s=0.6",
+    "task.episode_min_s=0.6",
+    "task.reward_window_s=0.3",
+    "ppo.hidden=[16]",
+    "ppo.num_steps=8",
+    "terrain.levels=2",
+    "terrain.variants=1",
+]
+RUN = ["--num-envs", "16", "--threads", "1", "--iterations", "1", "--out", "run", "--set", *SHORT]
+
+
+@pytest.fixture(autouse=True)
+def fresh(tmp_path, monkeypatch):
+    """An empty folder with the guides' modules, and registries that forget them."""
+    monkeypatch.chdir(tmp_path)
+    for code in re.findall(r"```python\n(.*?)```", GUIDES.read_text(), re.DOTALL):
+        (tmp_path / re.match(r"# (\w+\.py)\n", code)[1]).write_text(code)
+    before = set(sys.modules)
+    saved = [(things, dict(things)) for things in (ROBOTS, FAMILIES, plugins._imported)]
+    yield
+    for things, content in saved:
+        things.clear()
+        things.update(content)
+    for name in set(sys.modules) - before:
+        if getattr(sys.modules[name], "__file__", None) and str(tmp_path) in str(sys.modules[name].__file__):
+            del sys.modules[name]
+
+
+def forget() -> None:
+    """What another process would not know."""
+    for things, names in ((ROBOTS, ("pup",)), (FAMILIES, ("ditch",)), (plugins._imported, ("pup", "ditch"))):
+        for name in names:
+            things.pop(name, None)
+    for name in ("pup", "ditch"):
+        sys.modules.pop(name, None)
+
+
+def refused(capsys, *arguments: str) -> str:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(list(arguments))
+    err = capsys.readouterr().err
+    assert stopped.value.code == 1, err
+    assert err.count("\n") == 1
+    return err
+
+
+def test_the_guides_terrain_and_robot_train_and_export(tmp_path, capsys):
+    both = ["--import", "pup.py", "--import=ditch.py"]
+    cli.main(["train", "ditch,flat", "--robot", "pup", *RUN, *both])
+    record = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert record["imports"] == {"pup": str(tmp_path / "pup.py"), "ditch": str(tmp_path / "ditch.py")}
+    assert record["config"]["terrain"]["families"] == ["ditch", "flat"]
+    capsys.readouterr()
+    cli.main(["list", "terrains", *both])
+    assert "a ditch to walk through (depth 0.02 to 0.4 m)" in capsys.readouterr().out
+
+    forget()
+    go_on = ["train", "ditch,flat", "--resume", "run", "--iterations", "2", "--threads", "1"]
+    assert "made with the module 'pup': add --import" in refused(capsys, *go_on)
+    assert "made with the module 'pup': add --import" in refused(capsys, "export", "run")
+    cli.main([*go_on, *both])
+    cli.main(["export", "run", "-o", "pup.onnx", *both])
+    assert read_policy_file("pup.onnx").robot.name == "pup"
+
+
+def test_an_installed_package_needs_no_import(tmp_path, monkeypatch, capsys):
+    info = tmp_path / "pup_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pup-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[arrive.plugins]\npup = pup\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    cli.main(["list", "robots"])
+    assert "pup" in capsys.readouterr().out
+    assert plugins.imported() == {"pup": "package pup-package"}
+    forget()
+    (tmp_path / "pup.py").write_text("raise RuntimeError('broken')")
+    assert "package pup-package cannot be loaded" in refused(capsys, "list", "robots")
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        ("1 / 0", "--import mine.py failed: ZeroDivisionError"),
+        ("import nothing_like_it", "--import mine.py failed: ModuleNotFoundError"),
+        (
+            "from arrive.robots import get_robot, register_robot\nregister_robot(get_robot('go2'))",
+            "there is a robot 'go2' already",
+        ),
+        (
+            "from dataclasses import replace\nfrom arrive.robots import get_robot, register_robot\n"
+            "register_robot(replace(get_robot('go2'), name='mine', foot_sites=('a', 'b', 'c', 'd')))",
+            "unknown site of robot 'mine' 'a'",
+        ),
+        (
+            "from dataclasses import replace\nfrom arrive.robots import get_robot, register_robot\n"
+            "register_robot(replace(get_robot('go2'), name='mine', mass=3.0))",
+            "its bodies weigh 15.2064 kg, and mass is 3 kg",
+        ),
+        (
+            "from dataclasses import replace\nfrom arrive.robots import get_robot, register_robot\n"
+            "register_robot(replace(get_robot('go2'), name='mine', default_joint_pos=(9.0,) * 12))",
+            "the default position of FL_hip_joint, 9 rad, is outside its range",
+        ),
+        (
+            "from dataclasses import replace\nfrom arrive.terrain import get_family, register_terrain\n"
+            "register_terrain(replace(get_family('gap'), name='mine', highest=4.0))",
+            "terrain 'mine' with width 4 m",
+        ),
+        (
+            "from dataclasses import replace\nfrom arrive.terrain import get_family, register_terrain\n"
+            "register_terrain(replace(get_family('gap'), name='my gap'))",
+            "'my gap' is no name of a terrain",
+        ),
+    ],
+)
+def test_a_bad_module_is_one_line(tmp_path, capsys, code, problem):
+    (tmp_path / "mine.py").write_text(code)
+    assert problem in refused(capsys, "list", "robots", "--import", "mine.py")
+
+
+def test_a_missing_module_is_one_line(tmp_path, capsys):
+    assert "there is no such file" in refused(capsys, "list", "--import", "gone.py")
+    assert "ModuleNotFoundError" in refused(capsys, "list", "--import", "gone")
+    (tmp_path / "json.py").write_text("")
+    assert "a module 'json' is loaded already" in refused(capsys, "list", "--import", "json.py")
