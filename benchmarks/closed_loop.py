@@ -14,11 +14,11 @@ import torch
 from rich.progress import Progress
 
 from arrive.config import override
+from arrive.deployment.opening import open_policy
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
 from arrive.evaluation.closed_loop import compare, describe
 from arrive.learning.policy import load_policy
-from arrive.policies import open_policy
 from arrive.terrain import parse_families
 
 

@@ -20,15 +20,15 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from arrive.config import Config, from_dict
+from arrive.config import Config, saved_config
 from arrive.deployment import Controller, Joystick
 from arrive.deployment.goals import DEAD_ZONE
+from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
 from arrive.drive.driver import Driver
 from arrive.drive.script import random_script
 from arrive.drive.session import Moment, Tally, advance, run
 from arrive.errors import ArriveError
-from arrive.policies import open_policy
 from arrive.simulation import SimulatedRobot, continued
 from arrive.terrain.ground import ground_of
 
@@ -89,7 +89,7 @@ def measure(policy: PolicyFile, repeats: int) -> list[Walk]:
 
 def flat_robot(policy: PolicyFile) -> SimulatedRobot:
     """On flat ground that does not end."""
-    config: Config = from_dict(Config, policy.meta["training"]["config"])
+    config: Config = saved_config(policy.meta["training"]["config"], policy.path)
     return SimulatedRobot(config, continued(ground_of("flat").build()))
 
 

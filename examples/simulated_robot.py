@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from arrive.config import Config, from_dict
+from arrive.config import saved_config
 from arrive.deployment import Controller, HeightMap, Sensors, Target
-from arrive.policies import open_policy
+from arrive.deployment.opening import open_policy
 from arrive.robots import get_robot
 from arrive.simulation import SimulatedRobot
 from arrive.terrain.ground import ground_of
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> float:
     parser.add_argument("--fast", action="store_true", help="as fast as the machine can")
     options = parser.parse_args(arguments)
     policy = open_policy(options.policy)
-    config = from_dict(Config, policy.meta["training"]["config"])
+    config = saved_config(policy.meta["training"]["config"], policy.path)
     ground = ground_of(options.terrain, options.level, config.terrain.levels)
     robot = SimulatedRobot(config, ground.build(size=get_robot(config.robot).size))
     controller, recent = Controller(policy), deque(maxlen=MAP_DELAY_STEPS + 1)

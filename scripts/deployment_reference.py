@@ -17,8 +17,8 @@ from typing import Any
 
 import arrive.deployment
 from arrive.deployment.policy_file import PolicyFile, read_policy_file
-from arrive.deployment.terms import TERMS
 from arrive.policies import DEFAULT, shipped_file
+from arrive.terms import TERMS
 
 PAGE = Path(__file__).parent.parent / "docs" / "deployment-reference.md"
 HEAD = """# Reference of `arrive.deployment`

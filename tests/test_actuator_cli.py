@@ -17,6 +17,7 @@ TINY = [
     "task.episode_s=0.4",
     "task.reward_window_s=0.2",
     "task.episode_min_s=0.4",
+    "task.reward_window_s=0.4",
     "ppo.hidden=[16]",
     "ppo.symmetry=false",
     "ppo.num_steps=8",

@@ -266,7 +266,7 @@ def test_a_checkpoint_of_another_robot_is_refused(run, tmp_path):
 
 def test_a_checkpoint_of_another_observation_is_refused(run, tmp_path):
     """A coarser height grid gives fewer entries; the networks must not be fed by position."""
-    coarse = trainer_in(tmp_path, "observation.grid_step=0.2")
+    coarse = trainer_in(tmp_path, "observation.heights.step=0.2")
     with pytest.raises(ArriveError, match=r"another observation.*'height"):
         coarse.warm_start(run / CHECKPOINT_NAME)
 
@@ -279,7 +279,7 @@ def test_a_checkpoint_of_another_configuration_is_not_resumed(run, tmp_path):
 
 def test_a_policy_of_another_observation_is_not_evaluated(run):
     policy = load_policy(run)
-    env = build_env(override(CONFIG, ("observation.grid_length=1.2",)), threads=1)
+    env = build_env(override(CONFIG, ("observation.heights.length=1.2",)), threads=1)
     with pytest.raises(ArriveError, match="another observation"):
         policy.check(env)
     policy.check(build_env(CONFIG, threads=1))

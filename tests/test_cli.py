@@ -14,12 +14,15 @@ from arrive.presets import PRESETS
 from arrive.render import graphics, pictures
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
-from arrive.task.rewards import REWARDS
+from arrive.task.rewards import PositionRewards, functions
 from arrive.terrain import FAMILIES
+
+REWARDS = functions(PositionRewards())
 
 SMALL = (
     "task.episode_s=0.4",
     "task.episode_min_s=0.4",
+    "task.reward_window_s=0.4",
     "ppo.hidden=[16]",
     "ppo.num_steps=8",
     "terrain.levels=2",

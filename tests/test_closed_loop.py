@@ -10,12 +10,12 @@ import torch
 from arrive.build import Placement, build_env
 from arrive.config import override
 from arrive.deployment import Controller
+from arrive.deployment.opening import open_policy
 from arrive.env import POLICY
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
 from arrive.evaluation.closed_loop import ControlledRobots, check_pair, compare, describe, tilt
 from arrive.learning.policy import load_policy
-from arrive.policies import open_policy
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.terrain import FAMILIES
 
@@ -73,8 +73,8 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
         near = observation[:, 9:12].norm(dim=-1) * 2.0 < 5.0
         for same in (slice(0, 6), slice(9, 37)):
             torch.testing.assert_close(mine[near][:, same], observation[near][:, same], atol=1e-4, rtol=0)
-        low, high = config.observation.height_clip
-        heights = observation[:, HEIGHTS] / config.observation.height_scale
+        low, high = config.observation.heights.clip
+        heights = observation[:, HEIGHTS] / config.observation.heights.scale
         inside = (low < heights) & (heights < high)
         torch.testing.assert_close(mine[:, HEIGHTS][inside], observation[:, HEIGHTS][inside], atol=1e-4, rtol=0)
         compared += 1

@@ -2,12 +2,21 @@
 
 import dataclasses
 import json
+import math
+import random
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, get_args
 
 import pytest
 
-from arrive.config import Config, from_dict, override, to_dict
+from arrive.config import Config, check, from_dict, override, to_dict
 from arrive.errors import ArriveError
-from arrive.presets import PRESETS, get_preset
+from arrive.fields import hints_of, is_interval, parted, rows
+from arrive.presets import PRESETS, get_preset, robust
+from arrive.recipe import make_config
+from arrive.task.registry import TASKS, get_task
+from arrive.terrain import parse_families
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -16,13 +25,6 @@ def test_a_preset_survives_the_way_through_json(name):
     assert config.preset == name
     text = json.dumps(to_dict(config), allow_nan=False)
     assert from_dict(Config, json.loads(text)) == config
-
-
-def test_presets_share_nothing_that_can_be_changed():
-    """The reward weights are a dict: changing one run's must not change the next one's."""
-    for name in PRESETS:
-        get_preset(name).task.rewards["task"] = -1.0
-        assert get_preset(name).task.rewards["task"] > 0
 
 
 @pytest.mark.parametrize(
@@ -40,8 +42,9 @@ def test_presets_share_nothing_that_can_be_changed():
         ("randomisation.friction=[1, 2]", lambda c: c.randomisation.friction, (1.0, 2.0)),
         ("physics.motor=ideal", lambda c: c.physics.motor, "ideal"),
         ('terrain.families=["pit", "gap"]', lambda c: c.terrain.families, ("pit", "gap")),
-        ("task.rewards.stall_cost=-2", lambda c: c.task.rewards["stall_cost"], -2.0),
-        ("task.rewards.pose_cost=-0.5", lambda c: c.task.rewards["pose_cost"], -0.5),  # new in this preset
+        ("task.rewards.stall_cost.weight=-2", lambda c: c.task.rewards.stall_cost.weight, -2.0),
+        ("task.rewards.approach.radius=0.1", lambda c: c.task.rewards.approach.radius, 0.1),
+        ("observation.heights.noise=0", lambda c: c.observation.heights.noise, 0.0),
     ],
 )
 def test_an_assignment_changes_its_field_and_no_other(assignment, read, value):
@@ -55,6 +58,19 @@ def test_an_assignment_changes_its_field_and_no_other(assignment, read, value):
     changed = {path for path in old | new if old.get(path) != new.get(path)}
     assert changed == {assignment.partition("=")[0].strip()}
     assert before == get_preset("paper")
+
+
+@pytest.mark.parametrize(
+    ("short", "whole"),
+    [
+        ("task.rewards.approach=3", "task.rewards.approach.weight=3"),
+        ("task.rewards.stall_cost=-2", "task.rewards.stall_cost.weight=-2"),
+        ("observation.heights=0.2", "observation.heights.noise=0.2"),
+        ("observation.gravity=0", "observation.gravity.noise=0"),
+    ],
+)
+def test_a_number_alone_is_a_terms_weight_or_noise_and_keeps_its_other_parameters(short, whole):
+    assert override(robust(), (short,)) == override(robust(), (whole,)) != robust()
 
 
 def _leaves(data: dict, path: str = "") -> dict:
@@ -89,6 +105,11 @@ def test_the_last_of_several_assignments_wins():
         ("randomisation.friction=[1, true]", ["randomisation.friction", "float"]),
         ("physics.motor=steam", ["physics.motor", "steam", "dc", "ideal"]),
         ("task.rewards.task=big", ["task.rewards.task", "float"]),
+        ("task.rewards.tusk=1", ["no 'tusk'", "Did you mean 'task'"]),
+        ("observation.noise_heights=0", ["Did you mean observation.heights.noise?"]),
+        ("observation.grid_step=0.2", ["Did you mean observation.heights.step?"]),
+        ("task.approach_radius=0.2", ["Did you mean task.rewards.approach.radius?"]),
+        ("episode_s=3", ["Did you mean task.episode_s?"]),
     ],
 )
 def test_a_wrong_assignment_says_what_would_be_right(assignment, words):
@@ -96,10 +117,6 @@ def test_a_wrong_assignment_says_what_would_be_right(assignment, words):
         override(get_preset("paper"), (assignment,))
     for word in words:
         assert word in str(error.value)
-
-
-def test_a_share_of_the_robots_is_set_by_its_familys_name():
-    assert override(get_preset("paper"), ("terrain.shares.gap=3",)).terrain.shares == {"gap": 3.0}
 
 
 def test_a_saved_field_that_no_longer_exists_is_named():
@@ -131,3 +148,113 @@ def test_an_unknown_preset_lists_the_known_ones():
 def test_a_configuration_cannot_be_changed_in_place():
     with pytest.raises(dataclasses.FrozenInstanceError):
         get_preset("paper").ppo.gamma = 0.5
+
+
+# Ranges.
+
+TASKS_OF = {name: lambda name=name: replace(robust(), task=get_task(name).from_preset(robust().task)) for name in TASKS}
+CONFIGS = PRESETS | TASKS_OF
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_preset_and_task_is_within_its_ranges(name):
+    check(CONFIGS[name]())
+
+
+def fields_of(config, where: str = "") -> Iterator[tuple[str, Any]]:
+    """Path and type of every number, and of every list of numbers."""
+    for name, hint in hints_of(type(config)).items():
+        value = getattr(config, name)
+        first = value[0] if isinstance(value, tuple) else value
+        if dataclasses.is_dataclass(value):
+            yield from fields_of(value, f"{where}{name}.")
+        elif isinstance(first, float | int) and not isinstance(first, bool):
+            yield f"{where}{name}", hint
+
+
+def outside(hint: Any, rng: random.Random) -> Iterator[Any]:
+    """Values from outside the range of a field: NaN, infinities, and numbers beyond each end."""
+    base, limits = parted(hint)
+    kind = base if base in (int, float) else get_args(base)[0]
+    numbers = [] if kind is int else [math.nan, math.inf, -math.inf]
+    away = [rng.uniform(0.1, 10.0), 10.0 ** rng.uniform(-2, 6)]
+    for end, sign, excluded in ((limits.low, -1, limits.above), (limits.high, 1, limits.below)):
+        if math.isfinite(end):
+            numbers += [kind(end + sign * math.ceil(step) if kind is int else end + sign * step) for step in away]
+            numbers += [end] if excluded else []
+    if is_interval(base):
+        inside = [value for value in (limits.low, limits.high, 1.0, 2.0) if limits.holds(value)]
+        yield from ((number, max(inside)) for number in numbers if not number > max(inside))
+        yield from ((min(inside), number) for number in numbers)
+        yield max(inside) + 0.0, max(inside) - 1e-3
+    elif kind is not base:
+        yield ()
+        yield from ((number,) for number in numbers)
+    else:
+        yield from numbers
+
+
+@pytest.mark.parametrize("name", ["robust", "velocity", "continuous"])
+def test_whatever_is_outside_a_fields_range_is_refused_in_one_line(name):
+    config, rng, refused = CONFIGS[name](), random.Random(0), 0
+    for path, hint in fields_of(config):
+        values = list(outside(hint, rng))
+        assert values, f"{path} takes any number"
+        for value in values:
+            with pytest.raises(ArriveError) as error:
+                check(changed(config, path.split("."), value))
+            assert "\n" not in str(error.value)
+            assert f"{path} must be" in str(error.value), (path, value)
+            refused += 1
+    assert refused > 300
+
+
+def changed(config: Any, path: list[str], value: Any) -> Any:
+    name, *rest = path
+    return replace(config, **{name: changed(getattr(config, name), rest, value) if rest else value})
+
+
+@pytest.mark.parametrize(
+    ("assignment", "words"),
+    [
+        ("randomisation.push_interval_s=0", ["randomisation.push_interval_s", "above 0", "not 0.0"]),
+        ("randomisation.friction=[-1,0.5]", ["randomisation.friction", "above 0", "[-1.0, 0.5]"]),
+        ("randomisation.friction=[1,0.5]", ["randomisation.friction", "the smaller first"]),
+        ("randomisation.payload_kg=[-30,0]", ["randomisation.payload_kg", "nothing is left of the base"]),
+        ("observation.heights.noise=-1", ["observation.heights.noise", "at least 0", "not -1.0"]),
+        ("observation.heights.noise=NaN", ["observation.heights.noise", "at least 0", "not nan"]),
+        ("task.reward_window_s=10", ["task.reward_window_s", "at most task.episode_min_s, 5", "not 10.0"]),
+        ("task.target_distance=[1,50]", ["task.target_distance", "0 to 6.5", "[1.0, 50.0]"]),
+        ("task.target_height=-0.1", ["task.target_height", "at least 0"]),
+        ("task.episode_min_s=9", ["task.episode_min_s", "at most task.episode_s, 8"]),
+        ("task.rewards.stall_cost=1", ["task.rewards.stall_cost.weight", "at most 0", "not 1.0"]),
+        ("task.stop_share=0.2", ["task.stop_share", "0 where task.retarget_s is 0"]),
+        ("ppo.mini_batches=2000000", ["ppo.mini_batches", "at most the batch of 24576"]),
+        ("ppo.hidden=[]", ["ppo.hidden", "at least one"]),
+        ("physics.contact_time_s=0.001", ["physics.contact_time_s", "at least two physics steps"]),
+        ("observation.heights.clip=[0.1,1]", ["observation.heights.clip", "the first below 0"]),
+        ("num_envs=0", ["num_envs", "at least 1", "not 0"]),
+        ("num_envs=2000000000", ["num_envs", "memory", "2000000000"]),
+        ("preset=paper", ["preset", "--preset"]),
+        ("task.name=velocity", ["task.name", "--task"]),
+    ],
+)
+def test_a_bad_value_is_refused_before_anything_is_built(assignment, words):
+    with pytest.raises(ArriveError) as error:
+        make_config(parse_families("gap"), overrides=(assignment,))
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_a_field_of_another_task_is_an_error():
+    with pytest.raises(ArriveError, match="no 'crossing_share'"):
+        make_config(parse_families("gap"), task="velocity", overrides=("task.crossing_share=0.5",))
+    make_config(parse_families("gap"), task="velocity", overrides=("task.heading_gain=1",))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_field_says_what_it_is(name):
+    for row in rows(CONFIGS[name]()):
+        assert row.meaning or row.path.count(".") > 2, row.path
+        if isinstance(row.value, float | int) and not isinstance(row.value, bool):
+            assert row.range, row.path

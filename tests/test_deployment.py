@@ -40,7 +40,7 @@ from arrive.deployment.inputs import frame_of
 from arrive.deployment.onnx_file import PREFIX, SEAL, seal
 from arrive.deployment.policy_file import read_policy_file
 from arrive.deployment.specs import GridSpec, TaskSpec
-from arrive.deployment.terms import TERMS
+from arrive.deployment.terms import COMPUTED
 from arrive.deployment.verify import verify
 from arrive.env import POLICY
 from arrive.errors import ArriveError
@@ -772,10 +772,8 @@ def test_swapped_arguments_are_said(controller, arguments, reason):
 
 def test_the_table_of_terms_is_that_of_training(controller):
     schema = an_env("flat").observer.schema()
-    assert [row["name"] for row in schema] == list(TERMS)
-    for row, known in zip(schema, TERMS.values(), strict=True):
-        assert row["unit"] == known.unit
-        assert row["frame"].split(",")[0] == known.frame
+    assert [row["name"] for row in schema] == list(COMPUTED)
+    for row, known in zip(schema, COMPUTED.values(), strict=True):
         assert row["stop"] - row["start"] == known.size(controller.policy)
 
 
@@ -1169,8 +1167,7 @@ def test_missing_file_is_named(tmp_path):
 
 
 def test_velocity_policy_can_be_exported_but_not_driven_to_targets(tmp_path):
-    config = dataclasses.replace(CONFIG, task=dataclasses.replace(CONFIG.task, name="velocity"))
-    config = get_task("velocity").configure(config)
+    config = dataclasses.replace(CONFIG, task=get_task("velocity").from_preset(CONFIG.task))
     Trainer(config, build_env(config, threads=1), tmp_path).save()
     export_policy(load_policy(tmp_path), tmp_path / "v.onnx")
     verify(tmp_path / "v.onnx")

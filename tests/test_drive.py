@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from arrive import cli
-from arrive.config import Config, from_dict
+from arrive.config import saved_config
 from arrive.deployment import Controller, ControlLog, Joystick, replay
+from arrive.deployment.opening import open_policy
 from arrive.drive.driver import Driver
 from arrive.drive.gamepad import TURN_RAD_S, Gamepad
 from arrive.drive.pace import LARGEST_DELAY_S
@@ -18,7 +19,6 @@ from arrive.drive.script import HOLD_S, Script, random_script, read_script
 from arrive.drive.session import Tally, advance, run
 from arrive.drive.status import describe, summarise
 from arrive.errors import ArriveError
-from arrive.policies import open_policy
 from arrive.simulation import SimulatedRobot, continued
 from arrive.terrain.ground import ground_of
 
@@ -32,7 +32,7 @@ def policy():
 
 
 def a_drive(policy, log: ControlLog | None = None, terrain: str = "flat") -> Driver:
-    config = from_dict(Config, policy.meta["training"]["config"])
+    config = saved_config(policy.meta["training"]["config"], policy.path)
     return Driver(SimulatedRobot(config, continued(ground_of(terrain).build())), Controller(policy, log=log))
 
 

@@ -26,7 +26,7 @@ from arrive.task.registry import get_task
 def a_policy(task: str = "final") -> Policy:
     """A policy of a task that holds the default pose."""
     config = override(get_preset("paper"), ("num_envs=1",))
-    config = get_task(task).configure(replace(config, task=replace(config.task, name=task)))
+    config = replace(config, task=get_task(task).from_preset(config.task))
     still = lambda observations: torch.zeros(len(observations["policy"]), 12)  # noqa: E731
     return Policy(Path(f"{task}/policy.pt"), config, [], "none", 0, still)
 
@@ -182,7 +182,7 @@ class TestCommand:
             state.base_pos_w = state.base_pos_w + torch.tensor([40.0, -3.0, 0.0])
             env.task.follow(state)
             assert not env.task.advance(0.02).any()
-            told.append(env.task.observation_terms(env.config, env.robot)[3].compute(state, command))
+            told.append(env.observer.terms[3].compute(state, command))
         ahead = env.task.command.target_w - env.state.base_pos_w if task != "velocity" else None
         assert ahead is None or ahead[0, :2].tolist() == pytest.approx([3.0, 0.0], abs=1e-4)
         assert torch.allclose(told[0], told[-1], atol=1e-4)

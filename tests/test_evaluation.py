@@ -25,10 +25,10 @@ CONFIG = override(
         "num_envs=4",
         "task.episode_s=0.4",
         "task.episode_min_s=0.2",
+        "task.reward_window_s=0.2",
         "task.target_distance=[1, 2]",
         "terrain.levels=3",
         "terrain.variants=2",
-        "terrain.start_level=2",
     ),
 )
 EPISODES = 5
@@ -224,7 +224,7 @@ def test_the_progress_reaches_its_end(monkeypatch):
 
 
 def test_a_policy_of_another_observation_is_refused():
-    policy = standing(override(CONFIG, ("observation.grid_step=0.2",)))
+    policy = standing(override(CONFIG, ("observation.heights.step=0.2",)))
     foreign = dataclasses.replace(policy, config=CONFIG)
     with pytest.raises(ArriveError, match="another observation"):
         measure(policy=foreign)

@@ -14,7 +14,7 @@ import onnxruntime
 import pytest
 
 import ros2_stub
-from arrive.config import Config, from_dict
+from arrive.config import saved_config
 from arrive.deployment import Controller, GridHeights, Sensors, Target
 from arrive.policies import DEFAULT, shipped_file
 from arrive.simulation import SimulatedRobot
@@ -195,7 +195,7 @@ class RosRobot:
         monkeypatch.setattr(ros2_stub.Node, "parameters", {"policy": str(POLICY)})
         self.node = load("ros2/arrive_node.py").ArriveNode()
         policy = self.node.controller.policy
-        config = from_dict(Config, policy.meta["training"]["config"])
+        config = saved_config(policy.meta["training"]["config"], policy.path)
         self.robot, self.names = SimulatedRobot(config, ground_of("flat").build()), policy.robot.joint_names
         self.commands, self.status = (self.node.publishers[name].sent for name in ("commands", "status"))
         (self.period_s, self.timer), *_ = self.node.timers

@@ -25,6 +25,7 @@ from hexapod import HEXAPOD
 SHORT = [
     "task.episode_s=0.6",
     "task.episode_min_s=0.6",
+    "task.reward_window_s=0.6",
     "task.reward_window_s=0.3",
     "ppo.hidden=[16]",
     "ppo.num_steps=8",

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from arrive.build import Placement, build_env
 from arrive.cli import main
-from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
+from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.legs import LegCrossing
@@ -18,6 +18,7 @@ from arrive.evaluation.playing import play
 from arrive.presets import PAPER_REWARDS
 from arrive.report.card import write_card
 from arrive.report.records import read_run
+from arrive.task.final import FinalConfig
 
 CALM = RandomisationConfig(
     friction=(1.0, 1.0), payload_kg=(0.0, 0.0), push_speed=0.0, start_offset=0.0, start_speed=0.0, start_joint_scale=0.0
@@ -30,7 +31,7 @@ def an_env(num_envs: int = 2) -> ArriveEnv:
         terrain=TerrainConfig(families=("flat",), levels=1, variants=1),
         observation=ObservationConfig(noise=False),
         randomisation=CALM,
-        task=TaskConfig(rewards=dict(PAPER_REWARDS)),
+        task=FinalConfig(rewards=PAPER_REWARDS),
     )
     nowhere = torch.zeros(num_envs, dtype=torch.long)
     return build_env(config, Placement(assignment=(nowhere, nowhere)), threads=1)

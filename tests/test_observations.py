@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from arrive.build import Placement, build_env
-from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
+from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig, from_dict
 from arrive.env import POLICY, ArriveEnv
 from arrive.presets import PAPER_REWARDS
+from arrive.task.final import FinalConfig
 from arrive.task.observations import Observer
 from arrive.terrain import FAMILIES
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, cell_index
@@ -36,7 +37,7 @@ def an_env(num_envs: int, families: tuple[str, ...] = ("flat",), noise: bool = F
         terrain=TerrainConfig(families=families, variants=1),
         observation=ObservationConfig(noise=noise),
         randomisation=RandomisationConfig(push_speed=0.0),
-        task=TaskConfig(rewards=dict(PAPER_REWARDS)),
+        task=FinalConfig(rewards=PAPER_REWARDS),
     )
     values = tuple((FAMILIES[name].highest,) for name in families)
     assignment = (torch.arange(num_envs) % len(families), torch.zeros(num_envs, dtype=torch.long))
@@ -232,9 +233,8 @@ def test_noise_follows_the_configuration_of_each_term():
         "joint_vel": 0.55,
         "heights": 0.066,
     }
-    short = {name: name.removeprefix("base_") for name in figures}
-    observation = ObservationConfig(**{f"noise_{short[name]}": figure for name, figure in figures.items()})
-    config = Config(num_envs=20, observation=observation, task=TaskConfig(rewards=dict(PAPER_REWARDS)))
+    observation = from_dict(ObservationConfig, figures)
+    config = Config(num_envs=20, observation=observation, task=FinalConfig(rewards=PAPER_REWARDS))
     noise = noise_of(build_env(config, threads=1), 50)
     for name, figure in figures.items():
         assert float(noise[name].abs().max()) == pytest.approx(figure, rel=0.01), name

@@ -11,7 +11,7 @@ from mujoco.batch import SimulationError
 from torch import Tensor
 
 from arrive.build import Placement, build_env
-from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
+from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
 from arrive.physics import PhysicsConfig
@@ -19,6 +19,8 @@ from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS
 from arrive.robots import Robot, get_robot
+from arrive.task.final import FinalConfig
+from arrive.task.rewards import Approach, Cost, Reward
 from arrive.terrain import FAMILIES, build_tile
 
 ROBOT = get_robot("anymal_c")
@@ -268,7 +270,11 @@ def an_env() -> ArriveEnv:
         terrain=TerrainConfig(families=("flat", "rough", "stairs"), levels=2, variants=1),
         observation=ObservationConfig(noise=False),
         randomisation=RandomisationConfig(push_speed=0.0),
-        task=TaskConfig(rewards=PAPER_REWARDS | {"approach": 1.0, "stand": 1.0, "pose_cost": -1.0, "crash_cost": -2.0}),
+        task=FinalConfig(
+            rewards=replace(
+                PAPER_REWARDS, approach=Approach(1.0), stand=Reward(1.0), pose_cost=Cost(-1.0), crash_cost=Cost(-2.0)
+            )
+        ),
     )
     everyone = torch.arange(6)
     return build_env(config, Placement(assignment=(everyone % 3, torch.zeros(6, dtype=torch.long))), threads=1)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from arrive import cli, policies
+from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import read_policy_file
 from arrive.drive.pace import LARGEST_DELAY_S, Pace
 from arrive.errors import ArriveError
@@ -26,7 +27,7 @@ from arrive.play.skills import choices, open_skill, solved_beside
 from arrive.play.stick import parse_stick
 from arrive.play.trail import WINDOW_S as WINDOW_TRAIL_S
 from arrive.play.trail import Trail
-from arrive.policies import DEFAULT, SHIPPED, open_policy, shipped_file
+from arrive.policies import DEFAULT, SHIPPED, shipped_file
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, ground_of
 from arrive.terrain.tile import RASTER_HALF, cell_index

@@ -16,6 +16,7 @@ GUIDES = Path(__file__).parents[1] / "docs" / "extend.md"
 SHORT = [
     "task.episode_s=0.6",
     "task.episode_min_s=0.6",
+    "task.reward_window_s=0.6",
     "task.reward_window_s=0.3",
     "ppo.hidden=[16]",
     "ppo.num_steps=8",

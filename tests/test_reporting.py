@@ -38,7 +38,6 @@ def make_report(iteration: int, **changes) -> IterationReport:
         arrival=math.nan if iteration < 3 else 0.42,
         diverged_share=0.0,
         exploration_paid=float(iteration < 50),
-        exploration_until=0.7,
         task_fraction=0.31,
         families={
             "flat": FamilyReport(0.9, 0.0, (64,)),
@@ -67,7 +66,7 @@ def test_the_panel_shows_the_figures_at_any_width(width):
         "6,512/s",
         "42 %",
         "paid, task reward at 31 % of its maximum",
-        "70 %",
+        "50 %",
         "1.5 of 3",
         "too_far",
         "+0.0712",

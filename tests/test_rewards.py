@@ -6,15 +6,16 @@ import pytest
 import torch
 
 from arrive.build import build_env
-from arrive.config import Config, TaskConfig
+from arrive.config import Config, override
 from arrive.errors import ArriveError
-from arrive.presets import PRESETS
+from arrive.presets import PRESETS, get_preset
 from arrive.task import rewards
+from arrive.task.final import FinalConfig
 from arrive.task.registry import TASKS
-from arrive.task.rewards import CRASH_COST, REWARDS
+from arrive.task.rewards import CRASH_COST, Approach, Cost, PositionRewards, Rewarder, bound, functions
 from arrive.task.state import Command, State
 
-CONFIG = TaskConfig(reward_window_s=1.0, arrival_radius=0.5, approach_speed=1.0)
+CONFIG = FinalConfig(reward_window_s=1.0, arrival_radius=0.5)
 
 
 def a_state(**values) -> State:
@@ -28,8 +29,8 @@ def a_command(target=(0.0, 0.0, 0.0), time_left_s: float = 6.0) -> Command:
     return Command(target_w, time_left, torch.ones(1), torch.ones(1, dtype=torch.bool))
 
 
-def value_of(name: str, state: State, command: Command, config: TaskConfig = CONFIG) -> float:
-    value = REWARDS[name](state, command, config)
+def value_of(name: str, state: State, command: Command, config: FinalConfig = CONFIG) -> float:
+    value = bound(name, config)(state, command)
     assert value.shape == (1,)
     return float(value)
 
@@ -125,15 +126,17 @@ def test_penalties(name, fields_, expected):
 def test_approach_reward_is_the_speed_towards_the_target_up_to_a_limit(velocity, target, expected):
     state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=velocity)
     assert value_of("approach", state, a_command(target)) == pytest.approx(expected)
-    twice = replace(CONFIG, approach_speed=2.0)
+    twice = replace(CONFIG, rewards=PositionRewards(approach=Approach(speed=2.0)))
     if 0.0 < abs(expected) < 1.0:
         assert value_of("approach", state, a_command(target), twice) == pytest.approx(expected / 2)
 
 
-@pytest.mark.parametrize("radius", ["approach_radius", "arrival_radius"])
-def test_approach_reward_is_full_within_the_smaller_of_two_radii(radius):
+@pytest.mark.parametrize(
+    "change", [{"rewards": PositionRewards(approach=Approach(radius=0.25))}, {"arrival_radius": 0.25}], ids=str
+)
+def test_approach_reward_is_full_within_the_smaller_of_two_radii(change):
     state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=(0.0, -9.0, 0.0))
-    config = replace(CONFIG, **{radius: 0.25})
+    config = replace(CONFIG, **change)
     assert value_of("approach", state, a_command((0.0, 0.49, 0.0)), config) == pytest.approx(-1.0)
     assert value_of("approach", state, a_command((0.0, 0.24, 0.0)), config) == pytest.approx(1.0)
 
@@ -166,30 +169,40 @@ def test_pace_reward_is_full_at_the_speed_that_arrives_in_time(speed, distance, 
     assert value_of("pace", state, a_command((distance, 0.0, 0.0), time_left_s)) == pytest.approx(expected)
 
 
+def test_a_crash_is_paid_once_and_not_per_second():
+    failed = torch.tensor([True, False])
+    config = replace(CONFIG, rewards=PositionRewards(crash_cost=Cost(-2.0), pose_cost=Cost(-1.0)))
+    state = a_state(joint_offset=(0.0, 0.0, 0.0), finite=True)
+    terms = Rewarder(config, control_dt=0.02).pay(state, a_command(), failed, torch.ones(2))
+    assert terms["crash_cost"].tolist() == [-2.0, 0.0]
+
+
 def test_no_term_is_without_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
-    tested |= {"action_rate_cost", "foot_acc_cost", "pose_cost"}
-    assert set(REWARDS) == tested | {"approach", "pace", "stand"}
-    assert all(getattr(rewards, name) is function for name, function in REWARDS.items())
+    tested |= {"action_rate_cost", "foot_acc_cost", "pose_cost", "crash_cost"}
+    assert set(functions(PositionRewards())) == tested | {"approach", "pace", "stand"}
+    assert all(getattr(rewards, name) is function for name, function in functions(PositionRewards()).items())
+
+
+@pytest.mark.parametrize("task", TASKS.values())
+def test_every_term_finds_its_parameters(task):
+    config = task.Config()
+    for name in functions(config.rewards).keys() - {CRASH_COST}:
+        assert callable(bound(name, config))
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_weights_of_presets_name_terms_and_costs_are_negative(preset):
-    config = PRESETS[preset]().task
-    assert set(config.rewards) <= {*TASKS[config.name].rewards, CRASH_COST}
-    for name, weight in config.rewards.items():
-        assert weight < 0 if name.endswith("_cost") else weight >= 0, name
-    assert config.rewards["task"] > 0
+def test_weights_of_presets_pay_for_the_task(preset):
+    assert PRESETS[preset]().task.rewards.task.weight > 0
 
 
 def test_a_weight_without_a_term_is_an_error_that_lists_the_terms():
-    with pytest.raises(ArriveError, match=r"unknown reward 'tusk'\. Did you mean 'task'") as error:
-        build_env(Config(num_envs=1, task=TaskConfig(rewards={"task": 1.0, "tusk": 0.0})), threads=1)
-    assert all(name in str(error.value) for name in (*REWARDS, CRASH_COST))
+    with pytest.raises(ArriveError, match=r"no 'tusk'\. Did you mean 'task'") as error:
+        override(get_preset("paper"), ("task.rewards.tusk=1",))
+    assert all(name in str(error.value) for name in functions(PositionRewards()))
 
 
 def test_no_reward_at_all_is_an_error():
-    for weights in ({}, {"task": 0.0}):
-        with pytest.raises(ArriveError, match="no reward with a weight"):
-            build_env(Config(num_envs=1, task=TaskConfig(rewards=weights)), threads=1)
+    with pytest.raises(ArriveError, match="no reward with a weight"):
+        build_env(Config(num_envs=1, task=FinalConfig(rewards=PositionRewards())), threads=1)

@@ -170,9 +170,9 @@ class TestGo2:
 
 
 def test_a_robot_is_not_chosen_past_its_sizes():
-    with pytest.raises(ArriveError, match=r"choose the robot by --robot go2.*not by --set"):
+    with pytest.raises(ArriveError, match=r"robot is not set by name: choose it with --robot"):
         make_config(parse_families("flat"), overrides=("robot=go2",))
-    assert make_config(parse_families("flat"), overrides=("robot=go2",), robot="go2").robot == "go2"
+    assert make_config(parse_families("flat"), robot="go2").robot == "go2"
 
 
 def test_a_preset_is_fitted_to_the_robots_size():
@@ -184,9 +184,11 @@ def test_a_preset_is_fitted_to_the_robots_size():
     assert small.randomisation.payload_kg[1] == pytest.approx(5.0 * 15.2064 / 52.13485, rel=1e-3)
     assert small.randomisation.push_speed == pytest.approx(0.7**0.5, rel=1e-3)
     assert small.task.target_distance == plain.task.target_distance
-    before, after = HeightGrid(plain.observation).points, HeightGrid(small.observation).points
+    before, after = HeightGrid(plain.observation.heights).points, HeightGrid(small.observation.heights).points
     np.testing.assert_allclose(after, 0.7 * before, atol=1e-6)
     # Torque over mass and length, and angular acceleration over gravity and length, cost the same.
     torque = 0.7 * 15.2064 / 52.13485
-    assert small.task.rewards["torque_cost"] * torque**2 == pytest.approx(plain.task.rewards["torque_cost"], rel=1e-3)
-    assert small.task.rewards["joint_acc_cost"] / 0.49 == pytest.approx(plain.task.rewards["joint_acc_cost"], rel=1e-3)
+    ours, theirs = small.task.rewards, plain.task.rewards
+    assert ours.torque_cost.weight * torque**2 == pytest.approx(theirs.torque_cost.weight, rel=1e-3)
+    assert ours.joint_acc_cost.weight / 0.49 == pytest.approx(theirs.joint_acc_cost.weight, rel=1e-3)
+    assert ours.action_rate_cost == theirs.action_rate_cost

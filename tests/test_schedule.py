@@ -17,8 +17,8 @@ def test_while_a_gait_is_sought_the_configuration_holds():
     assert now.stage == "gait"
     assert (now.entropy, now.desired_kl) == (CONFIG.ppo.entropy, CONFIG.ppo.desired_kl)
     assert now.max_std == MAX_STD
-    assert now.crash_cost == -CONFIG.task.rewards["crash_cost"]
-    assert now.review == CONFIG.terrain.review
+    assert now.crash_cost == -CONFIG.task.rewards.crash_cost.weight
+    assert now.review == 0.0
 
 
 def test_noise_falls_and_crashes_grow_dearer_and_nothing_jumps():

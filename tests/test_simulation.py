@@ -35,10 +35,12 @@ def standing(robot: SimulatedRobot, steps: int) -> None:
 def test_importing_and_stepping_needs_no_torch():
     program = (
         "import sys\n"
-        "from arrive.presets import robust\n"
+        "from types import SimpleNamespace\n"
+        "from arrive.physics.options import PhysicsConfig\n"
         "from arrive.simulation import SimulatedRobot\n"
         "from arrive.terrain.ground import ground_of\n"
-        "robot = SimulatedRobot(robust(), ground_of('gap', 3).build())\n"
+        "config = SimpleNamespace(robot='anymal_c', physics=PhysicsConfig())\n"
+        "robot = SimulatedRobot(config, ground_of('gap', 3).build())\n"
         "robot.step(robot.sensors().joint_pos)\n"
         "sys.exit('torch' in sys.modules)\n"
     )
@@ -119,7 +121,7 @@ def test_a_robot_in_the_gap_fell():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_height_map_is_what_training_looks_up(family):
     robot = SimulatedRobot(CONFIG, ground_of(family, 9, layout="training").build())
-    grid = HeightGrid(CONFIG.observation)
+    grid = HeightGrid(CONFIG.observation.heights)
     deployed = DeployedGrid(GridSpec(grid.points.tolist(), 0.1, 0.5, 1.0))
     rng, raster = np.random.default_rng(0), torch.from_numpy(robot.tile.heights)[None]
     for _ in range(20):

@@ -7,11 +7,12 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from arrive.build import Placement, build_env
-from arrive.config import Config, ObservationConfig, RandomisationConfig, TaskConfig, TerrainConfig
+from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
 from arrive.learning.networks import Network
 from arrive.learning.symmetry import make_reflections
 from arrive.presets import PAPER_REWARDS
+from arrive.task.final import FinalConfig
 
 ACROSS = [1, -1, 1]
 """Reflection of a vector about the x-z plane."""
@@ -24,7 +25,7 @@ def two_robots(family: str, value: float) -> ArriveEnv:
         terrain=TerrainConfig(families=(family,), variants=1),
         observation=ObservationConfig(noise=False),
         randomisation=RandomisationConfig(push_speed=0.0),
-        task=TaskConfig(rewards=dict(PAPER_REWARDS)),
+        task=FinalConfig(rewards=PAPER_REWARDS),
     )
     nowhere = torch.zeros(2, dtype=torch.long)
     return build_env(config, Placement(values=((value,),), assignment=(nowhere, nowhere)), threads=1)

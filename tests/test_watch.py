@@ -24,7 +24,6 @@ def report(**changes) -> IterationReport:
         "arrival": 0.6,
         "diverged_share": 0.0,
         "exploration_paid": 1.0,
-        "exploration_until": 0.5,
         "task_fraction": 0.3,
         "families": {"flat": FamilyReport(0.9, 0.0, (64,)), "gap": FamilyReport(0.4, 1.5, (8, 40, 16))},
         "failures": {"crash": 0.3, "fell": 0.05},
@@ -35,9 +34,9 @@ def report(**changes) -> IterationReport:
 STUCK = {"gap": FamilyReport(0.1, 0.02, (63, 1, 0))}
 SYMPTOMS = {
     "diverging": ({"diverged_share": 0.9, "iteration": 1, "samples": 100}, "simulation diverges.*timestep_s"),
-    "crashing": ({"failures": {"crash": 0.6, "fell": 0.38}, "arrival": 0.0}, "98% .* in a crash.*start_level"),
+    "crashing": ({"failures": {"crash": 0.6, "fell": 0.38}, "arrival": 0.0}, "98% .* in a crash.*randomisation"),
     "arriving": ({"arrival": 0.01}, "1% of the episodes arrive after 5.0 M samples.*gamma"),
-    "levels": ({"families": STUCK}, "on gap are still on the first level.*terrain.shares"),
+    "levels": ({"families": STUCK}, "on gap are still on the first level.*terrain.demotion_share"),
 }
 
 

@@ -6,18 +6,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from arrive.config import Config
+from arrive.config import Config, check
 from arrive.env import ArriveEnv
-from arrive.errors import ArriveError
 from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.physics.pool import Spread, TileSet, build_pool
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
-from arrive.task.task import Cruise, Trial
+from arrive.task.task import Cruise, Setting, Trial
 from arrive.terrain import Layout, get_family
 from arrive.terrain.levels import level_values
-from arrive.validate import validate
 
 
 @dataclass(frozen=True)
@@ -56,14 +54,10 @@ def build_env(
     Raises:
         ArriveError: the configuration names something unknown or asks for nothing.
     """
-    validate(config)
+    check(config)
     network = motor_network(config.physics)  # before the worlds, so that a bad file is told at once
     robot = get_robot(config.robot)
     families = tuple(get_family(name) for name in config.terrain.families)
-    for name in config.terrain.shares:
-        get_family(name)
-    if config.num_envs < len(families):
-        raise ArriveError(f"num_envs is {config.num_envs}, fewer than the {len(families)} terrain families")
     values = placement.values or tuple(level_values(family, config.terrain.levels) for family in families)
     seed = config.seed + placement.seed_offset
     if device is None:
@@ -74,5 +68,6 @@ def build_env(
     pool = build_pool(robot, tile_set, spread, config.physics, seed, progress).to(device)
     physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device, network)
     generator = torch.Generator(device).manual_seed(seed)
-    task = get_task(config.task.name)(config, pool.rasters, generator, placement.trial)
+    setting = Setting(config.num_envs, config.physics.control_dt, pool.rasters, generator)
+    task = get_task(config.task.name)(config.task, setting, placement.trial)
     return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)

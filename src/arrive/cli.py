@@ -2,13 +2,24 @@
 
 import importlib
 import sys
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from arrive.commands.actuator import Actuator
+from arrive.commands.options import (
+    Bench,
+    Drive,
+    Energy,
+    Eval,
+    Export,
+    Gait,
+    List,
+    Play,
+    Report,
+    Train,
+    Verify,
+)
 from arrive.errors import ArriveError
 from arrive.neighbours import wait_considerately
 from arrive.plugins import import_module, import_packages
@@ -17,233 +28,6 @@ DEBUG = "--debug"
 """Option of every command: problems show their traceback."""
 IMPORT = "--import"
 """Option of every command: a module whose robots, terrains and more can be used by name."""
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train a policy on one or more terrains; it stops by itself and can be resumed."""
-
-    terrain: tyro.conf.Positional[str]
-    """Terrain family, several joined by commas, or `all`."""
-    preset: str | None = None
-    """Named configuration, see `arrive list`; `robust` by default."""
-    robot: str | None = None
-    """Named robot, see `arrive list`; `anymal_c` by default."""
-    task: str | None = None
-    """Named task, see `arrive list`; the preset's own by default."""
-    minutes: float | None = None
-    """Training time since the run began; 40 unless samples or iterations are given [min]."""
-    samples: str | None = None
-    """Policy steps of all robots since the run began, e.g. 40M; repeatable where minutes are not."""
-    iterations: int | None = None
-    """Training iterations since the run began."""
-    num_envs: int | None = None
-    """Robots simulated side by side; the preset's own number by default."""
-    seed: int | None = None
-    """Seed of networks, terrain and everything random; 1 by default."""
-    threads: int = 0
-    """CPU threads for physics and learning; 0 takes every CPU."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to train; `auto` takes an NVIDIA GPU where one can be used."""
-    resume: Path | None = None
-    """Run folder to continue exactly where it stands."""
-    start_from: Path | None = None
-    """Run folder whose networks the new run starts with."""
-    out: Path | None = None
-    """Folder of the run; one under runs/ by default."""
-    set: tuple[str, ...] = ()
-    """Changes to the configuration as PATH=VALUE, e.g. ppo.gamma=0.99 task.rewards.stall_cost=-2."""
-
-
-@dataclass(frozen=True)
-class Eval:
-    """Measure how often policies succeed, per terrain and level, and say why they fail."""
-
-    policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
-    others: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More of them, measured one after the other."""
-    protocol: Literal["arrival", "difficulty"] = "arrival"
-    """`arrival`: as in training; `difficulty`: the paper's measurement of the hardest terrain solved."""
-    terrain: str | None = None
-    """Terrain family, several joined by commas, or `all`; those it was trained on by default."""
-    level: int | None = None
-    """One level of training, for `arrival`; all by default."""
-    levels: int | None = None
-    """Number of evenly spaced levels, for `difficulty`; a table per terrain by default."""
-    episodes: int = 500
-    """Episodes per terrain and level."""
-    seed: int = 1
-    """Seed of terrain and episodes, apart from those of training."""
-    threads: int = 0
-    """CPU threads; 0 takes every CPU."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to simulate; `auto` takes an NVIDIA GPU where one can be used."""
-    json: Path | None = None
-    """File for the result as JSON; `difficulty` writes difficulty.json beside each policy by default."""
-    pictures: Path | None = None
-    """Folder for picture strips and, for `arrival`, a film; beside the policy by default."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """Put runs and the difficulty they solve beside the paper's Table I, as one HTML page and a JSON file."""
-
-    run: tyro.conf.Positional[Path]
-    """Run folder, measured with `arrive eval --protocol difficulty`."""
-    others: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More of them."""
-    out: Path = Path("report.html")
-    """File for the page; the JSON file has the same name and ends in .json."""
-
-
-@dataclass(frozen=True)
-class Energy:
-    """Measure what walking costs at speeds that policies are told (the paper's figure 5)."""
-
-    policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
-    others: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More of them, to be compared."""
-    speeds: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.75)
-    """Speeds that robots are told, each walked at [m/s]."""
-    distance: float = 100.0
-    """How far every robot walks [m]."""
-    robots: int = 50
-    """Robots per speed."""
-    seed: int = 1
-    """Seed of friction, payload, starts and noise."""
-    threads: int = 0
-    """CPU threads; 0 takes every CPU."""
-    json: Path = Path("energy.json")
-    """File for the result; the picture has the same name and ends in .png."""
-    force: bool = False
-    """Replace the result of a longer measurement."""
-
-
-@dataclass(frozen=True)
-class Gait:
-    """Measure how policies step: footfalls, duty factors, strides, phases, and the gait's name (paper, figure 6)."""
-
-    policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
-    others: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More of them, to be compared."""
-    speeds: tuple[float, ...] = (0.5, 1.0)
-    """Speeds that robots are told [m/s]."""
-    directions: tuple[float, ...] = (0.0,)
-    """Directions in which they are sent, relative to the heading at the start, counterclockwise; policies that follow a
-    velocity know 0 and 180 [deg]."""
-    seconds: float = 10.0
-    """How long they are looked at, after 5 s of walking [s]."""
-    robots: int = 20
-    """Robots per speed and direction."""
-    seed: int = 1
-    """Seed of friction, payload, starts and noise."""
-    threads: int = 0
-    """CPU threads; 0 takes every CPU."""
-    json: Path = Path("gait.json")
-    """File for the result; the picture has the same name and ends in .png."""
-    force: bool = False
-    """Replace the result of a longer measurement."""
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
-
-    policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
-    terrain: str = "flat"
-    """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]."""
-    level: int | None = None
-    """One of the policy's own levels, as in `arrive eval`; 0 by default."""
-    seconds: float | None = None
-    """How long; to the end of the script, or until Ctrl-C with a gamepad, by default [s]."""
-    script: Path | None = None
-    """CSV file with the columns time_s, forward, left, heading_rad to drive by, as fast as the machine can."""
-    log: Path | None = None
-    """File (.npz) for all inputs and commands of the controller, which can be replayed."""
-    seed: int = 1
-    """Seed of random terrain."""
-
-
-@dataclass(frozen=True)
-class Play:
-    """Drive a robot in the browser, run by the same controller as a real one."""
-
-    policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
-    terrain: str | None = None
-    """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]; what the
-    policy was trained on by default, at the hardest value that it was measured to solve."""
-    level: int | None = None
-    """One of the policy's own levels, as in `arrive eval`."""
-    layout: Literal["evaluation", "training"] = "evaluation"
-    """`evaluation`: the terrain lies between the robot and its target; `training`: all around the robot."""
-    port: int = 8080
-    """Port of the page."""
-    host: str = "127.0.0.1"
-    """Address that the page is served on. Beyond this machine (0.0.0.0 for all its addresses) the page asks for the
-    token in the address that is printed."""
-    seconds: float | None = None
-    """Stop after this time; with Ctrl-C by default [s]."""
-
-
-@dataclass(frozen=True)
-class Export:
-    """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
-
-    policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("policy.onnx")
-    """File to write."""
-
-
-@dataclass(frozen=True)
-class Verify:
-    """Check an exported policy: golden pairs, shapes, names and everything that its robot and task decide."""
-
-    file: tyro.conf.Positional[Path]
-    """File written by `arrive export`."""
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Measure how fast this machine simulates, collects and learns, or runs the controller of a robot."""
-
-    terrain: tyro.conf.Positional[str] = "flat"
-    """Terrain family, several joined by commas, or `all`."""
-    preset: str | None = None
-    """Named configuration, see `arrive list`; `robust` by default."""
-    robot: str | None = None
-    """Named robot, see `arrive list`; `anymal_c` by default."""
-    task: str | None = None
-    """Named task, see `arrive list`; the preset's own by default."""
-    num_envs: int | None = None
-    """Robots simulated side by side; the preset's own number by default."""
-    threads: int = 0
-    """CPU threads for physics and learning; 0 takes every CPU."""
-    rounds: int = 7
-    """Repetitions of every measurement."""
-    start_from: Path | None = None
-    """Run folder whose policy moves the robots; without it they fall."""
-    set: tuple[str, ...] = ()
-    """Changes to the configuration as PATH=VALUE, e.g. ppo.hidden=[512,256,128]."""
-    deployment: bool = False
-    """Measure the control step on a robot instead: its latency on one core and its memory."""
-    policy: tuple[Path, ...] = ()
-    """Exported files to measure with `--deployment`, beside networks of the paper's size with random weights."""
-    json: Path | None = None
-    """File for the result as JSON."""
-
-
-@dataclass(frozen=True)
-class List:
-    """Name the terrains, presets, robots, tasks, rewards and shipped policies."""
-
-    what: tyro.conf.Positional[str | None] = field(default=None)
-    """`terrains`, `presets`, `robots`, `tasks`, `rewards` or `policies`; everything by default."""
 
 
 Command = (

@@ -3,19 +3,23 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from arrive.config import Config, ObservationConfig, PPOConfig, ScheduleConfig, TaskConfig, TerrainConfig
+from arrive.config import Config, PPOConfig, ScheduleConfig, TerrainConfig
 from arrive.errors import unknown_name
+from arrive.task.final import FinalConfig
+from arrive.task.heights import HeightsConfig
+from arrive.task.observations import ObservationConfig
+from arrive.task.rewards import Approach, Cost, PositionRewards, Reward
 
-PAPER_REWARDS = {
-    "task": 10.0,
-    "exploration": 1.0,
-    "stall_cost": -1.0,
-    "joint_acc_cost": -2.5e-7,
-    "torque_cost": -1e-5,
-    "collision_cost": -1.0,
-    "action_rate_cost": -0.01,
-    "foot_acc_cost": -4e-6,
-}
+PAPER_REWARDS = PositionRewards(
+    task=Reward(10.0),
+    exploration=Reward(1.0),
+    stall_cost=Cost(-1.0),
+    joint_acc_cost=Cost(-2.5e-7),
+    torque_cost=Cost(-1e-5),
+    collision_cost=Cost(-1.0),
+    action_rate_cost=Cost(-0.01),
+    foot_acc_cost=Cost(-4e-6),
+)
 """Weights of the paper's terms; it gives none itself: the task's from the UWLab position tasks, the costs' from
 legged_gym."""
 
@@ -25,7 +29,7 @@ def paper() -> Config:
     return Config(
         preset="paper",
         num_envs=4096,
-        task=TaskConfig(rewards=dict(PAPER_REWARDS)),
+        task=FinalConfig(rewards=PAPER_REWARDS),
         ppo=PPOConfig(),
     )
 
@@ -35,20 +39,23 @@ def robust() -> Config:
     return Config(
         preset="robust",
         num_envs=1024,
-        terrain=TerrainConfig(levels=30),
+        terrain=TerrainConfig(levels=30, demotion_share=0.5),
         observation=ObservationConfig(
-            height_scale=2.0, height_clip=(-1.0, 0.4), grid_length=2.0, grid_width=1.25, grid_step=0.125
+            heights=HeightsConfig(scale=2.0, clip=(-1.0, 0.4), length=2.0, width=1.25, step=0.125)
         ),
-        task=TaskConfig(
+        task=FinalConfig(
             episode_s=8.0,
             episode_min_s=5.0,
             reward_window_s=2.0,
             target_distance=(0.5, 5.5),
             crossing_share=0.6,
-            exploration_kept=1.0,
-            approach_radius=0.2,
-            demotion_share=0.5,
-            rewards=PAPER_REWARDS | {"exploration": 0.0, "approach": 2.0, "stand": 10.0, "crash_cost": -2.0},
+            rewards=replace(
+                PAPER_REWARDS,
+                exploration=Reward(),
+                approach=Approach(2.0, radius=0.2),
+                stand=Reward(10.0),
+                crash_cost=Cost(-2.0),
+            ),
         ),
         ppo=PPOConfig(
             num_steps=24,
@@ -72,7 +79,7 @@ def joystick() -> Config:
         target_distance=(0.0, 5.0),
         retarget_s=1.0,
         stop_share=0.2,
-        rewards=config.task.rewards | {"approach": 0.0, "pace": 2.0, "pose_cost": -0.2},
+        rewards=replace(config.task.rewards, approach=Approach(), pace=Reward(2.0), pose_cost=Cost(-0.2)),
     )
     return replace(
         config,

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from arrive.config import Config, override
+from arrive.config import Config, check, override
 from arrive.errors import ArriveError
 from arrive.learning.networks import choose_precision
 from arrive.presets import get_preset
@@ -11,9 +11,15 @@ from arrive.robots import get_robot
 from arrive.sizing import for_robot
 from arrive.task.registry import get_task
 from arrive.terrain import Family
-from arrive.validate import validate
 
 DEFAULT_PRESET = "robust"
+CHOSEN = {
+    "preset": "--preset",
+    "robot": "--robot, which fits lengths and masses to it",
+    "task.name": "--task",
+    "terrain.families": "the names of terrains",
+}
+"""Fields that others follow from, and what chooses them."""
 
 
 def make_config(
@@ -34,22 +40,20 @@ def make_config(
     Raises:
         ArriveError: an unknown name, or a value out of range.
     """
+    for path, option in CHOSEN.items():
+        if any(assignment.partition("=")[0].strip() == path for assignment in overrides):
+            raise ArriveError(f"{path} is not set by name: choose it with {option}")
     config = get_preset(preset or DEFAULT_PRESET)
-    name = task or config.task.name
     config = replace(
         config,
         terrain=replace(config.terrain, families=tuple(family.name for family in families)),
-        task=replace(config.task, name=name),
+        task=get_task(task or config.task.name).from_preset(config.task),
         num_envs=config.num_envs if num_envs is None else num_envs,
         seed=config.seed if seed is None else seed,
     )
-    config = for_robot(get_task(name).configure(config), get_robot(robot or config.robot))
-    config, fitted = override(config, overrides), config
-    if config.robot != fitted.robot:
-        raise ArriveError(
-            f"choose the robot by --robot {config.robot}, which fits lengths and masses to it, and not by --set"
-        )
+    config = for_robot(config, get_robot(robot or config.robot))
+    config = override(config, overrides)
     # Chosen once, so that a run keeps it wherever it goes on.
     config = replace(config, ppo=replace(config.ppo, precision=choose_precision(config.ppo.precision)))
-    validate(config)
+    check(config)
     return config

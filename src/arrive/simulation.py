@@ -1,12 +1,14 @@
 """One simulated robot on one tile, without torch: what drives the deployment controller in place of a real one."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from arrive.config import Config
 from arrive.deployment.heights import HeightMap
 from arrive.deployment.inputs import Sensors
 from arrive.deployment.rotation import heading, matrix
@@ -16,6 +18,9 @@ from arrive.physics.world import compile_world, sensor_layout
 from arrive.robots import get_robot
 from arrive.terrain.shapes import GROUND_HALF
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box, Tile
+
+if TYPE_CHECKING:
+    from arrive.config import Config
 
 DROP = 0.02
 """Robots of ANYmal C's size start this much above standing height [m]."""

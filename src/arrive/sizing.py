@@ -9,6 +9,8 @@ from dataclasses import replace
 
 from arrive.config import Config
 from arrive.robots.robot import Robot
+from arrive.task.final import PositionConfig
+from arrive.task.rewards import Cost
 
 DIGITS = 4
 """Leading digits that fitted figures keep, for people to read."""
@@ -18,19 +20,26 @@ def for_robot(config: Config, robot: Robot) -> Config:
     """The configuration with this robot, its figures fitted to the robot's size and mass; for ANYmal C unchanged."""
     size, mass = robot.size, robot.mass_share
     observation, random, task = config.observation, config.randomisation, config.task
+    heights, rewards = observation.heights, task.rewards
     weight_factors = {"torque_cost": (mass * size) ** -2, "joint_acc_cost": size**2}
-    rewards = {name: _scaled(weight, weight_factors.get(name, 1.0)) for name, weight in task.rewards.items()}
+    costs = {name: Cost(_scaled(getattr(rewards, name).weight, factor)) for name, factor in weight_factors.items()}
+    task = replace(task, rewards=replace(rewards, **costs))
+    if isinstance(task, PositionConfig):
+        task = replace(task, target_height=_scaled(task.target_height, size))
     return replace(
         config,
         robot=robot.name,
         observation=replace(
             observation,
-            noise_heights=_scaled(observation.noise_heights, size),
-            height_scale=_scaled(observation.height_scale, 1.0 / size),
-            height_clip=tuple(_scaled(height, size) for height in observation.height_clip),
-            grid_length=_scaled(observation.grid_length, size),
-            grid_width=_scaled(observation.grid_width, size),
-            grid_step=_scaled(observation.grid_step, size),
+            heights=replace(
+                heights,
+                noise=_scaled(heights.noise, size),
+                scale=_scaled(heights.scale, 1.0 / size),
+                clip=tuple(_scaled(height, size) for height in heights.clip),
+                length=_scaled(heights.length, size),
+                width=_scaled(heights.width, size),
+                step=_scaled(heights.step, size),
+            ),
         ),
         randomisation=replace(
             random,
@@ -38,7 +47,7 @@ def for_robot(config: Config, robot: Robot) -> Config:
             push_speed=_scaled(random.push_speed, size**0.5),
             start_offset=_scaled(random.start_offset, size),
         ),
-        task=replace(task, target_height=_scaled(task.target_height, size), rewards=rewards),
+        task=task,
     )
 
 

@@ -13,8 +13,8 @@ from arrive.actuation.clip import TorqueClip
 from arrive.actuation.fit import Fit
 from arrive.actuation.motor import Motor
 from arrive.actuation.responses import Drive, frequency_response, loaded_step, locked_step, torque_at_speed
+from arrive.colors import COLORS
 from arrive.files import whole
-from arrive.learning.curves import COLORS
 
 LOCKED_STEP_RAD, LOADED_STEP_RAD, SINE_RAD = 0.3, 0.5, 0.1
 ERRORS_RAD = (0.25, 0.5, 1.0, 1.5)

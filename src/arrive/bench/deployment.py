@@ -83,16 +83,15 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
     import torch
     from tensordict import TensorDict
 
-    from arrive.config import override
+    from arrive.config import check, override
     from arrive.deployment.export import describe, export_policy
     from arrive.env import POLICY
     from arrive.learning.policy import Policy
     from arrive.learning.ppo import make_actor
     from arrive.presets import robust
-    from arrive.validate import validate
 
     config = override(robust(), (f"ppo.hidden={list(hidden)}",))
-    validate(config)
+    check(config)
     content = describe(config)
     sample = TensorDict({POLICY: torch.zeros(1, content["observation"][-1]["stop"])}, batch_size=[1])
     with torch.random.fork_rng():

@@ -17,7 +17,7 @@ from arrive.recipe import make_config
 from arrive.terrain import parse_families
 
 if TYPE_CHECKING:
-    from arrive.cli import Bench
+    from arrive.commands.options import Bench
 
 LABELS = {
     "engine": "mujoco.batch alone",

@@ -6,23 +6,23 @@ import math
 from typing import TYPE_CHECKING
 
 from arrive.commands.export import need_onnxruntime
-from arrive.config import Config, from_dict
+from arrive.config import saved_config
 from arrive.errors import ArriveError
 
 if TYPE_CHECKING:
-    from arrive.cli import Drive
+    from arrive.commands.options import Drive
 
 
 def run_drive(command: Drive) -> None:
     """Drive the deployment controller of a policy and say how it went."""
     need_onnxruntime()
     from arrive.deployment import Controller, ControlLog
+    from arrive.deployment.opening import open_policy
     from arrive.drive import session
     from arrive.drive.driver import Driver
     from arrive.drive.gamepad import Gamepad
     from arrive.drive.script import read_script
     from arrive.drive.status import StatusLine, summarise
-    from arrive.policies import open_policy
     from arrive.robots import get_robot
     from arrive.simulation import SimulatedRobot, continued
     from arrive.terrain.ground import ground_of
@@ -30,7 +30,7 @@ def run_drive(command: Drive) -> None:
     if command.seconds is not None and not 0.0 < command.seconds < math.inf:
         raise ArriveError(f"--seconds must be positive, not {command.seconds}")
     policy = open_policy(command.policy)
-    config: Config = from_dict(Config, policy.meta["training"]["config"])
+    config = saved_config(policy.meta["training"]["config"], policy.path)
     tile = ground_of(command.terrain, command.level, config.terrain.levels).build(
         command.seed, get_robot(config.robot).size
     )

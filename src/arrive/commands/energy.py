@@ -23,7 +23,7 @@ from arrive.report.energy_chart import energy_figure
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from arrive.cli import Energy
+    from arrive.commands.options import Energy
 
 
 def energy(command: Energy) -> None:

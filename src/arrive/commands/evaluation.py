@@ -19,18 +19,18 @@ from arrive.evaluation.arrival import Arrival, CellResult, cells_of
 from arrive.evaluation.arrival import evaluate as evaluate_policy
 from arrive.evaluation.episode import Episode
 from arrive.learning.policy import Policy, load_policy
-from arrive.learning.rundir import CONFIG_NAME
+from arrive.learning.rundir import CONFIG_NAME, DIFFICULTY_NAME
 from arrive.physics.device import choose_device, describe_device
 from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
 from arrive.report.diagnosis import why_stuck
-from arrive.report.records import DIFFICULTY_NAME, DIFFICULTY_PICTURES, read_run
+from arrive.report.records import DIFFICULTY_PICTURES, read_run
 from arrive.report.write import write_report
 from arrive.terrain import parse_families
 
 if TYPE_CHECKING:
-    from arrive.cli import Eval, Report
+    from arrive.commands.options import Eval, Report
 
 
 def evaluate(command: Eval) -> None:

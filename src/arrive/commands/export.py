@@ -9,7 +9,7 @@ from arrive.errors import ArriveError
 from arrive.learning.policy import load_policy
 
 if TYPE_CHECKING:
-    from arrive.cli import Export, Verify
+    from arrive.commands.options import Export, Verify
 
 
 def export(command: Export) -> None:

@@ -19,7 +19,7 @@ from arrive.files import whole
 from arrive.report.gait_chart import gait_figure
 
 if TYPE_CHECKING:
-    from arrive.cli import Gait
+    from arrive.commands.options import Gait
 
 
 def gait(command: Gait) -> None:

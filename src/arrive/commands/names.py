@@ -12,11 +12,11 @@ from arrive.policies import SHIPPED, TRAINED, trained_names
 from arrive.presets import PRESETS
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
-from arrive.task.rewards import CRASH_COST
+from arrive.task.rewards import functions
 from arrive.terrain import FAMILIES
 
 if TYPE_CHECKING:
-    from arrive.cli import List
+    from arrive.commands.options import List
 
 
 def list_names(command: List) -> None:
@@ -26,8 +26,11 @@ def list_names(command: List) -> None:
         "presets": {name: _first_line(build) for name, build in PRESETS.items()},
         "robots": {name: robot.description for name, robot in ROBOTS.items()},
         "tasks": {name: _first_line(task) for name, task in TASKS.items()},
-        "rewards": {name: _first_line(term) for task in TASKS.values() for name, term in task.rewards.items()}
-        | {CRASH_COST: "Paid once, at a crash."},
+        "rewards": {
+            name: _first_line(function)
+            for task in TASKS.values()
+            for name, function in functions(task.Config().rewards).items()
+        },
         "policies": SHIPPED | dict.fromkeys(trained_names(), f"a run in {TRAINED.name}/ of this checkout"),
     }
     if command.what is not None and command.what not in names:

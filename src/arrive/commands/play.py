@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from arrive.errors import ArriveError
 
 if TYPE_CHECKING:
-    from arrive.cli import Play
+    from arrive.commands.options import Play
 
 
 def run_play(command: Play) -> None:

@@ -32,7 +32,7 @@ from arrive.recipe import make_config
 from arrive.terrain import parse_families
 
 if TYPE_CHECKING:
-    from arrive.cli import Train
+    from arrive.commands.options import Train
 
 DEFAULT_MINUTES = 40.0
 """Training budget where none is given [min]."""

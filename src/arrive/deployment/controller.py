@@ -14,7 +14,7 @@ from arrive.deployment.log import ControlLog
 from arrive.deployment.policy_file import PolicyFile, read_policy_file
 from arrive.deployment.rotation import heading, matrix
 from arrive.deployment.safety import DEFAULT, Limits, Safety
-from arrive.deployment.terms import TERMS, Moment, check_terms
+from arrive.deployment.terms import COMPUTED, Moment, check_terms
 from arrive.deployment.watchdog import Watchdog
 
 LARGEST_OBSERVATION = 100.0
@@ -48,7 +48,7 @@ class Controller:
         robot = policy.robot
         self._default = np.array(robot.default_joint_pos_rad)
         self._scale = np.concatenate([np.full(term.stop - term.start, term.scale) for term in policy.terms])
-        self._terms = [TERMS[term.name].compute for term in policy.terms]
+        self._terms = [COMPUTED[term.name].compute for term in policy.terms]
         self._grid = HeightGrid(policy.grid)
         self._limits = Limits(robot)
         self._navigator = Navigator(policy.task)

@@ -10,18 +10,19 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from arrive.config import Config, from_dict, to_dict
+from arrive.config import Config, saved_config, to_dict
 from arrive.deployment.onnx_file import PREFIX, seal
 from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
 from arrive.deployment.specs import MOTOR_FIGURES
 from arrive.errors import ArriveError
-from arrive.evaluation.difficulty import DIFFICULTY_NAME
 from arrive.files import whole
 from arrive.learning.checkpoint import check_schema
 from arrive.learning.networks import Facing, Network
 from arrive.learning.policy import Policy
+from arrive.learning.rundir import DIFFICULTY_NAME
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
+from arrive.task.final import FinalConfig, PositionConfig
 from arrive.task.heights import HeightGrid
 from arrive.task.observations import Observer, height_offset
 from arrive.task.registry import get_task
@@ -63,7 +64,7 @@ def compare_with_this_version(file: PolicyFile) -> None:
         ArriveError: they are not; the message names the first place that differs.
     """
     try:
-        config = from_dict(Config, file.meta["training"]["config"])
+        config = saved_config(file.meta["training"]["config"], file.path)
     except (KeyError, TypeError, AttributeError) as error:
         raise ArriveError(f"the metadata of {file.path} is damaged: {error!r}. Export the policy again.") from error
     for section, expected in describe(config).items():
@@ -93,8 +94,10 @@ def _same_point(found: Any, expected: Any) -> bool:
 
 def describe(config: Config) -> dict[str, Any]:
     """The sections of the metadata that follow from the configuration and this version of the software."""
-    robot, task = get_robot(config.robot), config.task
-    grid = HeightGrid(config.observation)
+    robot, heights = get_robot(config.robot), config.observation.heights
+    # A task without targets is described by the targets of the paper: the file has a place for them.
+    task = config.task if isinstance(config.task, PositionConfig) else FinalConfig()
+    grid = HeightGrid(heights)
     sections = {
         "robot": _describe_robot(robot),
         "control": {"period_s": config.physics.control_dt},
@@ -102,14 +105,14 @@ def describe(config: Config) -> dict[str, Any]:
         "heights": {
             # Rounded, because float32 makes 0.1 a number that no person would write.
             "points_m": [[round(x, 6) for x in point] for point in grid.points.tolist()],
-            "step_m": config.observation.grid_step,
+            "step_m": heights.step,
             "offset_m": height_offset(robot),
-            "clip_m": list(config.observation.height_clip),
+            "clip_m": list(heights.clip),
         },
         "task": {
-            "name": task.name,
+            "name": config.task.name,
             "reward_window_s": task.reward_window_s,
-            "episode_s": task.episode_s,
+            "episode_s": config.task.episode_s,
             "target_height_m": task.target_height,
             "target_distance_m": list(task.target_distance),
             "arrival_radius_m": task.arrival_radius,
@@ -138,7 +141,7 @@ def _one_or_each(values: list[float]) -> float | list[float]:
 
 def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:
     """The observation's terms, as training has them."""
-    terms = get_task(config.task.name).observation_terms(config, robot)
+    terms = get_task(config.task.name).observation_terms(config.task, config.observation, robot)
     return Observer(terms, False, torch.device("cpu")).schema()
 
 

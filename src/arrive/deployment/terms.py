@@ -1,7 +1,6 @@
-"""The observation's terms by name: what each is, and how the controller computes it.
+"""How the controller computes the observation's terms; `arrive.terms` says what each is.
 
-Training has the same names in `arrive.task.observations`, with noise and mirror maps; the exported file lists which
-terms its network wants, in which order and at which scale. `check_terms` compares the file with this table.
+The exported file lists which terms its network wants, in which order and at which scale.
 """
 
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from arrive.deployment.goals import Order
 from arrive.deployment.inputs import Frame
 from arrive.deployment.policy_file import PolicyFile
 from arrive.errors import ArriveError, unknown_name
+from arrive.terms import TERMS
 
 
 class Moment(NamedTuple):
@@ -34,15 +34,11 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservedTerm:
-    """One term of the observation."""
+    """How the controller computes one term."""
 
-    unit: str
-    frame: str
-    """As the file has it up to the first comma."""
-    meaning: str
     size: Callable[[PolicyFile], int]
     compute: Callable[[Moment], np.ndarray | tuple[float, ...]]
-    """In `unit`, before the scale."""
+    """In the term's unit, before the scale."""
 
 
 def _three(policy: PolicyFile) -> int:
@@ -59,39 +55,18 @@ def _heights(moment: Moment) -> np.ndarray:
     return np.minimum(np.maximum(below, grid.clip_m[0]), grid.clip_m[1])
 
 
-TERMS: dict[str, ObservedTerm] = {
-    "base_lin_vel": ObservedTerm(
-        "m/s", "base", "velocity of the base frame's origin", _three, lambda m: m.frame.base_lin_vel_b
-    ),
-    "base_ang_vel": ObservedTerm(
-        "rad/s", "base", "angular velocity of the base", _three, lambda m: m.frame.base_ang_vel_b
-    ),
-    "gravity": ObservedTerm(
-        "1", "base", "direction of gravity, (0, 0, -1) when upright", _three, lambda m: -m.to_world[2]
-    ),
-    "target": ObservedTerm(
-        "m", "base", "from the base to the target", _three,
-        lambda m: (m.order.target_w - m.frame.base_pos_w) @ m.to_world,
-    ),
-    "time_left": ObservedTerm(
-        "s", "", "until the robot is to be there, at most an episode", lambda policy: 1,
-        lambda m: (min(m.order.time_left_s, m.policy.task.episode_s),),
-    ),
-    "joint_pos": ObservedTerm(
-        "rad", "relative to the default pose", "joint positions minus the default pose", _joints,
-        lambda m: m.frame.joint_pos - m.default,
-    ),
-    "joint_vel": ObservedTerm("rad/s", "joint", "joint velocities", _joints, lambda m: m.frame.joint_vel),
-    "action": ObservedTerm(
-        "action scale", "joint", "the network's last output; after a safe stance the pose that was held", _joints,
-        lambda m: m.action,
-    ),
-    "heights": ObservedTerm(
-        "m", "heading", "clip(base z - offset - ground, *clip) at the grid's points",
-        lambda policy: len(policy.grid.points_m), _heights,
-    ),
-}  # fmt: skip
-"""In the order of training; a file may have another."""
+COMPUTED: dict[str, ObservedTerm] = {
+    "base_lin_vel": ObservedTerm(_three, lambda m: m.frame.base_lin_vel_b),
+    "base_ang_vel": ObservedTerm(_three, lambda m: m.frame.base_ang_vel_b),
+    "gravity": ObservedTerm(_three, lambda m: -m.to_world[2]),
+    "target": ObservedTerm(_three, lambda m: (m.order.target_w - m.frame.base_pos_w) @ m.to_world),
+    "time_left": ObservedTerm(lambda policy: 1, lambda m: (min(m.order.time_left_s, m.policy.task.episode_s),)),
+    "joint_pos": ObservedTerm(_joints, lambda m: m.frame.joint_pos - m.default),
+    "joint_vel": ObservedTerm(_joints, lambda m: m.frame.joint_vel),
+    "action": ObservedTerm(_joints, lambda m: m.action),
+    "heights": ObservedTerm(lambda policy: len(policy.grid.points_m), _heights),
+}
+"""Those of `arrive.terms` that the controller can provide."""
 
 
 def check_terms(policy: PolicyFile) -> None:
@@ -101,11 +76,11 @@ def check_terms(policy: PolicyFile) -> None:
         ArriveError: an unknown term, or one of another size, unit or frame.
     """
     for term in policy.terms:
-        if term.name not in TERMS:
-            raise unknown_name("observation of the controller, needed by the policy:", term.name, TERMS)
+        if term.name not in COMPUTED:
+            raise unknown_name("observation of the controller, needed by the policy:", term.name, COMPUTED)
         known = TERMS[term.name]
         for what, found, expected in (
-            ("entries", term.stop - term.start, known.size(policy)),
+            ("entries", term.stop - term.start, COMPUTED[term.name].size(policy)),
             ("as its unit", term.unit, known.unit),
             ("as its frame", term.frame.split(",")[0], known.frame),
         ):

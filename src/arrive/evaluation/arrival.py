@@ -189,7 +189,7 @@ def _environment(
         terrain=replace(config.terrain, families=tuple(families), variants=setting.variants or config.terrain.variants),
         observation=replace(config.observation, noise_least=1.0),
         randomisation=setting.randomise(config.randomisation),
-        task=replace(config.task, episode_min_s=config.task.episode_s, retarget_s=0.0),
+        task=config.task.measured(),
     )
     placement = Placement(
         layout=setting.layout,

@@ -32,8 +32,6 @@ VARIANTS = 50
 SHARES = (0.95, 0.80, 0.50)
 """Success rates for which the largest solved parameter is given; the paper's is the first."""
 NAME = "difficulty"
-DIFFICULTY_NAME = "difficulty.json"
-"""File of a measurement beside the policy."""
 
 
 def _range(first: float, last: float, step: float) -> tuple[float, ...]:

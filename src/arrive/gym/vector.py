@@ -30,8 +30,8 @@ class ArriveVectorEnv(VectorEnv):
     `is_success`, `level`, `distance` (what was left of the way [m]) and `failure` (its cause, empty for a success).
 
     A crash or fall terminates an episode. So does the end of its time, because the remaining time is observed and the
-    task is over (paper, section Method). Where time is not observed and the task sets `bootstrap_timeouts` (the task
-    `velocity`), the end of time truncates.
+    task is over (paper, section Method). Where time is not observed (the task `velocity`), the end of time
+    truncates.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012 (Gymnasium's type)
@@ -127,7 +127,7 @@ def _placement(config: Config, level: int | None) -> Placement:
     families = parse_families(",".join(config.terrain.families))
     # A family without a parameter has one level only.
     available = torch.tensor([min(level, len(level_values(f, config.terrain.levels)) - 1) for f in families])
-    family = deal_families(config.num_envs, config.terrain)
+    family = deal_families(config.num_envs, len(families))
     return Placement(assignment=(family, available[family]))
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from arrive.config import Config, from_dict, to_dict
+from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
 from arrive.files import write_bytes
 
-FORMAT = 1
+FORMAT = 2
 """Version of the files' layout."""
 CHECKPOINT_NAME = "checkpoint.pt"
 POLICY_NAME = "policy.pt"
@@ -124,7 +124,10 @@ def _origin(content: Any, path: Path) -> Origin:
     if not isinstance(content, dict) or "format" not in content:
         raise _foreign(path, "it says no format")
     if content["format"] != FORMAT:
-        raise ArriveError(f"{path} has checkpoint format {content['format']!r}, this version reads {FORMAT}")
+        raise ArriveError(
+            f"{path} was made by another version of arrive (checkpoint format {content['format']!r}, this version "
+            f"reads {FORMAT}): use that version, or train again"
+        )
     kinds = {"robot": str, "config": dict, "schema": list, "commit": str, "iteration": int, "samples": int}
     for name, kind in kinds.items():
         if not isinstance(content.get(name), kind):
@@ -132,7 +135,7 @@ def _origin(content: Any, path: Path) -> Origin:
     rows = content["schema"]
     if not rows or not all(isinstance(row, dict) and isinstance(row.get("stop"), int) for row in rows):
         raise _foreign(path, "its schema must be a list of rows with their `stop`")
-    return Origin(**{name: content[name] for name in kinds} | {"config": from_dict(Config, content["config"])})
+    return Origin(**{name: content[name] for name in kinds} | {"config": saved_config(content["config"], path)})
 
 
 def _foreign(path: Path, why: str) -> ArriveError:

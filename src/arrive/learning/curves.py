@@ -9,11 +9,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
+from arrive.colors import COLORS
 from arrive.files import whole
 from arrive.learning.logs import read_log
 
 CURVES_NAME = "curves.png"
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c564b", "#7f7f7f", "#bcbd22", "#17becf")
 STYLES = ("-", "--", ":")
 SMALL_COLUMNS = 3
 WIDTH_IN, WIDE_HEIGHT_IN, SMALL_HEIGHT_IN = 12.0, 3.1, 2.2

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from arrive.learning.report import FamilyReport, IterationReport
+from arrive.task.curriculum import FOUND
 
 BARS = "▁▂▃▄▅▆▇█"
 ASCII_BARS = "_.:-=+*#"
@@ -135,7 +136,7 @@ def exploration_state(report: IterationReport) -> str:
     if not report.exploration_paid:
         return "removed"
     where = "paid" if report.exploration_paid == 1.0 else f"paid to {_percent(report.exploration_paid)} of the robots"
-    present, until = _percent(report.task_fraction), _percent(report.exploration_until)
+    present, until = _percent(report.task_fraction), _percent(FOUND)
     return f"{where}, task reward at {present} of its maximum; until {until}"
 
 

@@ -36,8 +36,6 @@ class IterationReport:
     """Share of the recently ended episodes that ended because the simulation diverged."""
     exploration_paid: float
     """Share of the robots to which the exploration reward (paper, eq. 3) is still paid."""
-    exploration_until: float
-    """`task_fraction` of a terrain family at which the exploration reward is removed there."""
     task_fraction: float
     """Task reward inside its window as a share of its maximum, mean of the families."""
     families: dict[str, FamilyReport] = field(default_factory=dict)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from arrive import __version__
-from arrive.config import Config, from_dict, to_dict
+from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
 from arrive.files import cannot_write, read_json, remove_unfinished, write_bytes, write_json
 from arrive.learning.checkpoint import CHECKPOINT_NAME, POLICY_NAME
@@ -21,6 +21,8 @@ from arrive.lock import Lock
 from arrive.plugins import imported, require
 
 CONFIG_NAME = "config.json"
+DIFFICULTY_NAME = "difficulty.json"
+"""What `arrive eval --protocol difficulty` found."""
 LOCK_NAME = "run.lock"
 MOTOR_NAME = "motor.safetensors"
 """The run's own copy of its actuator network."""
@@ -180,10 +182,7 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
     if not isinstance(content.get("samples_before", 0), int):
         raise ArriveError(f"cannot read {path}: samples_before must be a number, not {content['samples_before']!r:.60}")
     require_imports(folder)
-    try:
-        return with_own_motor(from_dict(Config, content["config"]), folder), content
-    except ArriveError as error:
-        raise ArriveError(f"cannot read {path}: {error}") from error
+    return with_own_motor(saved_config(content["config"], path), folder), content
 
 
 def samples_before(record: dict[str, Any]) -> int:

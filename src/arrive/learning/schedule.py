@@ -44,7 +44,7 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
     """
     schedule, first = config.schedule, config.ppo
     if not schedule.enabled:
-        return _constant(config, first.entropy_after + seeking * (first.entropy - first.entropy_after))
+        return _constant(config, first.entropy)
     finish = _finish_share(schedule, spent)
     climb_std = schedule.climb_std * (schedule.finish_std / schedule.climb_std) ** spent
     climbed = Settings(
@@ -67,8 +67,8 @@ def _constant(config: Config, entropy: float) -> Settings:
         entropy=entropy,
         desired_kl=config.ppo.desired_kl,
         max_std=MAX_STD,
-        crash_cost=-config.task.rewards.get("crash_cost", 0.0),
-        review=config.terrain.review,
+        crash_cost=-config.task.rewards.crash_cost.weight,
+        review=0.0,
     )
 
 

@@ -160,7 +160,7 @@ class Trainer:
     def _follow_schedule(self, spent: float) -> Settings:
         """Set in the environment what the schedule says for the next iteration."""
         settings = settings_at(self.config, spent, self.env.exploration.paid)
-        self.env.review, self.env.crash_cost = settings.review, -settings.crash_cost
+        self.env.review, self.env.rewarder.crash_cost = settings.review, -settings.crash_cost
         return settings
 
     def _collect_and_learn(self, settings: Settings) -> tuple[dict[str, float], dict[str, float]]:
@@ -215,7 +215,6 @@ class Trainer:
             arrival=statistics.arrival(),
             diverged_share=statistics.diverged_share(),
             exploration_paid=self.env.exploration_paid,
-            exploration_until=self.config.task.exploration_until,
             task_fraction=self.env.exploration.fraction,
             families=statistics.families(self.env),
             rewards=result.rewards,

@@ -1,6 +1,5 @@
 """A new run that begins with the networks and terrain levels of another one."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,6 @@ from arrive.task.curriculum import deal_families
 def warm_start(state: TrainingState, config: Config, path: Path) -> int:
     """Take networks and optimiser from another run's checkpoint, and the levels of the families that both have.
 
-    The action noise is its own too, where `ppo.warm_std` gives no other.
-
     Returns:
         Policy steps that the other run has made.
 
@@ -32,8 +29,6 @@ def warm_start(state: TrainingState, config: Config, path: Path) -> int:
         levels = reached_levels(saved, origin.config.terrain)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
-    if config.ppo.warm_std > 0.0:
-        state.algorithm.get_policy().distribution.log_std_param.data.fill_(math.log(config.ppo.warm_std))
     state.env.settle(levels)
     state.observations = state.env.get_observations()
     return origin.samples
@@ -43,5 +38,5 @@ def reached_levels(saved: dict[str, Any], terrain: TerrainConfig) -> dict[str, T
     """Levels of a checkpoint's robots by terrain family, 0 for the easiest to 1 for the hardest."""
     parts = [part["env"]["levels"] for part in (saved, *saved["others"])]
     levels = torch.cat(parts) / max(terrain.levels - 1, 1)
-    family = torch.cat([deal_families(len(part), terrain) for part in parts])
+    family = torch.cat([deal_families(len(part), len(terrain.families)) for part in parts])
     return {name: levels[family == index] for index, name in enumerate(terrain.families)}

@@ -37,7 +37,7 @@ def _warnings(report: IterationReport) -> Iterator[tuple[str, str]]:
         yield (
             "crashing",
             f"{_crashed(report):.0%} of the episodes end in a crash after {_millions(report)} samples. Likely "
-            "causes: terrain.start_level too high, randomisation too wild, action noise (ppo.init_std, ppo.entropy) "
+            "causes: randomisation too wild, action noise (ppo.init_std, ppo.entropy) "
             "too large, or nothing that rewards staying upright.",
         )
     if _never_arriving(report) and not (diverging or crashing):
@@ -51,8 +51,8 @@ def _warnings(report: IterationReport) -> Iterator[tuple[str, str]]:
         yield (
             "levels",
             f"the robots on {', '.join(stuck)} are still on the first level after {_millions(report)} samples. Likely "
-            "causes: the first level is too hard (more terrain.levels make it easier), too few robots there "
-            "(terrain.shares), task.demotion too strict.",
+            "causes: the first level is too hard (more terrain.levels make it easier), terrain.demotion_share "
+            "too large.",
         )
 
 

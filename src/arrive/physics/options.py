@@ -1,13 +1,14 @@
 """Settings of the physics step."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import mujoco
 
 from arrive.actuation.clip import MotorClip
 from arrive.actuation.motor import MotorKind
 from arrive.errors import ArriveError
+from arrive.fields import Count, NotNegative, Positive, Range
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
@@ -19,9 +20,9 @@ LEAST_TIME_STEPS = 2
 class PhysicsConfig:
     """How MuJoCo is stepped; the defaults are legged_gym's rates with solver settings checked by an accuracy test."""
 
-    timestep_s: float = 0.005
+    timestep_s: Positive = 0.005
     """Physics step [s]."""
-    decimation: int = 4
+    decimation: Count = 4
     """Physics steps per policy step."""
     engine: Literal["auto", "mujoco", "warp"] = "auto"
     """`mujoco` on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` takes the one that suits the device."""
@@ -35,22 +36,22 @@ class PhysicsConfig:
     `none`."""
     leg_contacts: bool = True
     """Whether the robot's legs collide with each other; `false`, for comparison, lets them pass through each other."""
-    solver_iterations: int = 15
+    solver_iterations: Count = 15
     """Upper bound on Newton iterations of the contact solver."""
-    line_search_iterations: int = 40
+    line_search_iterations: Count = 40
     """Upper bound on line-search iterations of the contact solver; with 10 it stops at steps that throw the robot."""
-    solver_tolerance: float = 1e-5
+    solver_tolerance: NotNegative = 1e-5
     """Newton stops when the scaled improvement falls below this."""
     cone: Literal["pyramidal", "elliptic"] = "pyramidal"
     """Friction cone. `pyramidal`, MuJoCo's default, is a quarter faster and holds only 71 % of the friction along the
     diagonals of the world's axes; `elliptic` holds all of it in every direction."""
-    impratio: float = 20.0
+    impratio: Positive = 20.0
     """Stiffness of friction relative to the contact normal; at MuJoCo's 1 the feet of a standing robot creep apart."""
-    contact_time_s: float = 0.01
+    contact_time_s: Positive = 0.01
     """Time constant of contacts, at least two physics steps, for MuJoCo takes no shorter one [s]."""
-    contact_impedance: float = 0.97
+    contact_impedance: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.97
     """How hard contacts are, 0 to 1: the softer, the faster a standing robot's feet creep."""
-    max_contacts: int = 64
+    max_contacts: Count = 64
     """Contacts per robot for which MuJoCo Warp makes room; the CPU engine needs no bound."""
 
     def __post_init__(self):

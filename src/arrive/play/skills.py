@@ -7,9 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from arrive.config import Config, from_dict
+from arrive.config import Config, saved_config
+from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
-from arrive.policies import DEFAULT, SHIPPED, find_run, open_policy, trained_names
+from arrive.policies import DEFAULT, SHIPPED, find_run, trained_names
 from arrive.terrain import FAMILIES, Layout
 from arrive.terrain.ground import Ground, varies
 
@@ -37,7 +38,7 @@ class Skill:
         Raises:
             ArriveError: it is one of another version.
         """
-        return from_dict(Config, self.policy.meta["training"]["config"])
+        return saved_config(self.policy.meta["training"]["config"], self.policy.path)
 
     @property
     def levels(self) -> int:

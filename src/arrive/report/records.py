@@ -7,9 +7,8 @@ from typing import Any
 
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult
-from arrive.evaluation.difficulty import DIFFICULTY_NAME
 from arrive.learning.logs import LOG_NAME, read_log
-from arrive.learning.rundir import read_config, samples_before
+from arrive.learning.rundir import DIFFICULTY_NAME, read_config, samples_before
 from arrive.terrain import get_family
 
 DIFFICULTY_PICTURES = "pictures/difficulty"

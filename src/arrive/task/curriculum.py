@@ -5,32 +5,28 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from arrive.config import TaskConfig, TerrainConfig
+FOUND = 0.5
+"""Where the task reward is this share of its maximum, the task is found: exploration rewards go (paper, eq. 3)."""
 
 
-def deal_families(num_envs: int, config: TerrainConfig) -> Tensor:
-    """(num_envs,) index of each robot's terrain family: families take turns, those with larger shares more often.
-
-    Every family gets a robot where there are as many robots as families.
-    """
-    shares = torch.tensor([config.shares.get(name, 1.0) for name in config.families], dtype=torch.float64)
-    turns = torch.arange(num_envs).unsqueeze(1) / shares
-    return turns.flatten().argsort(stable=True)[:num_envs] % len(shares)
+def deal_families(num_envs: int, families: int) -> Tensor:
+    """(num_envs,) index of each robot's terrain family: families take turns."""
+    return torch.arange(num_envs) % families
 
 
 class LevelCurriculum:
     """Each robot's terrain level: up after a success, down after a failure (paper, section Episode Process)."""
 
-    def __init__(self, num_levels: Tensor, start_level: int, generator: torch.Generator):
-        """Deal starting levels.
+    def __init__(self, num_levels: Tensor, generator: torch.Generator):
+        """Start everybody on the first level.
 
         Args:
             num_levels: (num_envs,) levels of each robot's family.
-            start_level: highest starting level.
         """
         self._num_levels = num_levels
         self._generator = generator
-        self.levels = (self._draw(num_levels.clamp(max=start_level + 1))).long()
+        # Zeros, drawn: without the draw every seed would give another run than it used to.
+        self.levels = self._draw(torch.ones_like(num_levels)).long()
 
     def _uniform(self, like: Tensor) -> Tensor:
         return torch.rand(like.shape, generator=self._generator, device=like.device)
@@ -70,7 +66,7 @@ class LevelCurriculum:
 
 
 class ExplorationSwitch:
-    """Pays the exploration reward on a terrain family until the task reward reaches a share of its maximum there.
+    """Pays the exploration reward on a terrain family until the task reward is at half of its maximum there.
 
     The paper (eq. 3) trains on one family at a time; where there are several, those that are not solved keep it. The
     share is taken over the samples inside the reward window only: outside it the task reward is zero by definition, and
@@ -81,13 +77,13 @@ class ExplorationSwitch:
     CHECK_STEPS = 50
     """Policy steps between decisions: one reward window of 1 s."""
 
-    def __init__(self, config: TaskConfig, family_of_env: Tensor):
+    def __init__(self, family_of_env: Tensor):
         """Pay it everywhere.
 
         Args:
             family_of_env: (num_envs,) index of each robot's terrain family.
         """
-        self._config, self._family_of_env = config, family_of_env
+        self._family_of_env = family_of_env
         self._families = families = int(family_of_env.max()) + 1
         device = family_of_env.device
         self.active = torch.ones(families, dtype=torch.bool, device=device)
@@ -100,7 +96,7 @@ class ExplorationSwitch:
     @property
     def factor(self) -> Tensor:
         """(num_envs,) what each robot's exploration reward is multiplied by."""
-        return torch.where(self.active, 1.0, self._config.exploration_kept)[self._family_of_env]
+        return self.active.float()[self._family_of_env]
 
     @property
     def paid(self) -> float:
@@ -135,7 +131,7 @@ class ExplorationSwitch:
     def _decide(self) -> None:
         earned, count = self._sums
         self.fractions = torch.where(count > 0, earned / count, self.fractions)
-        self.active &= ~(self.fractions >= self._config.exploration_until)  # NaN decides nothing
+        self.active &= ~(self.fractions >= FOUND)  # NaN decides nothing
         self._sums.zero_()
         self._steps = 0
 

@@ -1,17 +1,19 @@
 """Final-position tracking: be at the target when the time is over (paper, section Method)."""
 
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
+
 import torch
 from torch import Tensor
 
-from arrive.config import Config
+from arrive.fields import Interval, NotNegative, Positive, Range, Rule, Share
 from arrive.robots.robot import Robot
 from arrive.task.heights import look_up
-from arrive.task.observations import ObservationTerm, observation_terms
-from arrive.task.rewards import REWARDS, STALL_SPEED, RewardFunction, distance_to_target, task_share
+from arrive.task.observations import ObservationConfig, ObservationTerm, observation_terms
+from arrive.task.rewards import STALL_SPEED, PositionRewards, distance_to_target, task_share
 from arrive.task.state import Command, State
-from arrive.task.targets import sample_targets
-from arrive.task.task import Cruise, Outcome, Start, Trial
-from arrive.terrain.rasters import Rasters
+from arrive.task.targets import REACH, sample_targets
+from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
 
 OBSTACLE_HEIGHT = 0.6
 """Ground this much above robot and target, on the line between them, is what the robot did not get around [m]."""
@@ -21,26 +23,75 @@ LINE_POINTS = 64
 """Places on that line that are looked at: at most 0.1 m apart."""
 
 
+@dataclass(frozen=True)
+class PositionConfig(TaskConfig):
+    """What the tasks have in common that send robots to places."""
+
+    name: str = ""
+    episode_s: Positive = 6.0
+    """Longest episode T [s]."""
+    episode_min_s: Positive = 6.0
+    """Shortest episode; lengths are drawn uniformly between the two [s]."""
+    arrival_radius: Positive = 0.5
+    """A robot this close to its target at the end has arrived [m]."""
+    target_distance: Annotated[Interval, Range(0.0, REACH)] = (1.0, 5.0)
+    """Distance of targets from the start, uniform [m]."""
+    target_height: NotNegative = 0.5
+    """Height of targets above the ground [m]."""
+    crossing_share: Share = 0.0
+    """Share of the targets that are drawn only where they count, beyond the terrain to be crossed: of all those among
+    pillars, two thirds can be reached straight."""
+    retarget_s: NotNegative = 0.0
+    """Mean time after which a robot in training gets another target and the time for it, without an end of the episode;
+    0 for never [s]."""
+    stop_share: Share = 0.0
+    """Share of those other targets that are where the robot is: it is told to stop."""
+    rewards: PositionRewards = PositionRewards()
+
+    def rules(self) -> tuple[Rule, ...]:
+        """What fields must be because of others."""
+        shortest, longest = self.episode_min_s, self.episode_s
+        farthest = self.target_distance[1]
+        return (
+            Rule("episode_min_s", f"at most task.episode_s, {longest:g}", shortest <= longest),
+            Rule("target_distance", "two numbers, the second above 0", farthest > 0.0),
+            Rule("stop_share", "0 where task.retarget_s is 0", self.retarget_s > 0.0 or self.stop_share == 0.0),
+        )
+
+    def measured(self) -> Self:
+        return replace(self, episode_min_s=self.episode_s, retarget_s=0.0, stop_share=0.0)
+
+
+@dataclass(frozen=True)
+class FinalConfig(PositionConfig):
+    """Position targets with a deadline."""
+
+    name: Literal["final"] = "final"
+    """The task, see `arrive list tasks`."""
+    reward_window_s: Positive = 1.0
+    """Duration T_r of the task reward at the end of an episode (paper, eq. 1) [s]."""
+
+    def rules(self) -> tuple[Rule, ...]:
+        shortest = self.episode_min_s
+        window = Rule("reward_window_s", f"at most task.episode_min_s, {shortest:g}", self.reward_window_s <= shortest)
+        return (*super().rules(), window)
+
+
 class FinalPositionTask:
     """Position targets with a deadline."""
 
+    Config = FinalConfig
     sides = (("target", 0), ("target", 1))
-    rewards: dict[str, RewardFunction] = REWARDS
+    bootstraps = False
 
-    def __init__(
-        self,
-        config: Config,
-        rasters: Rasters,
-        generator: torch.Generator,
-        trial: Trial | Cruise | None = None,
-    ):
+    def __init__(self, config: PositionConfig, setting: Setting, trial: Trial | Cruise | None = None):
         """Build the task with no commands yet."""
-        self._config = config.task
-        self._dt = config.physics.control_dt
-        self._rasters = rasters
-        self._generator = generator
+        self._config = config
+        self._dt = setting.control_dt
+        self._rasters = setting.rasters
+        self._generator = setting.generator
         self._trial = trial
-        device, num_envs = rasters.heights.device, config.num_envs
+        device, num_envs = setting.rasters.heights.device, setting.num_envs
         self._command = Command(
             target_w=torch.zeros(num_envs, 3, device=device),
             time_left_s=torch.zeros(num_envs, device=device),
@@ -50,8 +101,8 @@ class FinalPositionTask:
         self._tile_ids = torch.zeros(num_envs, dtype=torch.long, device=device)
 
     @staticmethod
-    def configure(config: Config) -> Config:
-        return config
+    def from_preset(config: TaskConfig) -> TaskConfig:
+        return config if isinstance(config, FinalConfig) else FinalConfig()
 
     @property
     def episode_s(self) -> float:
@@ -66,8 +117,10 @@ class FinalPositionTask:
         return self._command.target_w
 
     @staticmethod
-    def observation_terms(config: Config, robot: Robot) -> tuple[ObservationTerm, ...]:
-        return observation_terms(robot, config.observation, config.task.episode_s)
+    def observation_terms(
+        config: PositionConfig, sensing: ObservationConfig, robot: Robot
+    ) -> tuple[ObservationTerm, ...]:
+        return observation_terms(robot, sensing, config.episode_s)
 
     def new_command(self, start: Start, first: bool) -> None:
         config, ids = self._config, start.env_ids
@@ -145,14 +198,12 @@ class FinalPositionTask:
         failed = crashed | fell
         success = (distance < self._config.arrival_radius) & ~failed
         slow = state.base_lin_vel_w.norm(dim=-1) < STALL_SPEED
-        far = distance > 0.5 * self._command.start_distance
-        lost = ~success & (far | failed) if self._config.demotion == "far" else ~success
         missed = ~success & ~failed
         apart = self._apart(state, missed)
         return Outcome(
             success=success,
             promote=success & self._command.counts,
-            demote=lost & self._command.counts,
+            demote=~success & self._command.counts,
             failures={
                 "crash": crashed & ~fell,
                 "fell": fell,
@@ -184,7 +235,7 @@ class FinalPositionTask:
         return apart
 
     def task_share(self, state: State, failed: Tensor) -> tuple[Tensor, Tensor]:
-        share, paid = task_share(state, self._command, self._config)
+        share, paid = task_share(state, self._command, reward_window_s=self._config.reward_window_s)
         left_s = self._command.time_left_s.clamp(max=self._config.reward_window_s)
         return share * ~failed, torch.where(failed, left_s / self._dt, paid.float())
 

@@ -1,19 +1,46 @@
 """The grid of terrain heights around the robot."""
 
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
-from arrive.config import ObservationConfig
+from arrive.fields import Interval, NotNegative, Positive, Range, Rule
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE
+
+
+@dataclass(frozen=True)
+class HeightsConfig:
+    """The observation `heights`: the ground around the robot."""
+
+    MAIN: ClassVar[str] = "noise"
+
+    noise: NotNegative = 0.1
+    """Half-width of the uniform noise [m]."""
+    scale: Positive = 5.0
+    """The policy receives height samples times this [1/m]."""
+    clip: Interval = (-1.0, 1.0)
+    """Relative heights are cut at these: how far above and how far below 0.5 m under the base ground is told apart [m].
+    What is deeper than any foot reaches should look the same, whether it is half a metre deep or two."""
+    length: Annotated[float, Range(0.0, 2.0 * RASTER_HALF, above=True)] = 1.6
+    """Extent of the grid along the heading [m]."""
+    width: Annotated[float, Range(0.0, 2.0 * RASTER_HALF, above=True)] = 1.0
+    """Extent of the grid across the heading [m]."""
+    step: Annotated[float, Range(0.01, RASTER_HALF)] = 0.1
+    """Distance between height samples [m]."""
+
+    def rules(self) -> tuple[Rule, ...]:
+        """What fields must be because of others."""
+        return (Rule("clip", "two numbers, the first below 0, the second above 0", self.clip[0] < 0.0 < self.clip[1]),)
 
 
 class HeightGrid:
     """Points around the base, aligned with its heading, at which the ground's height is looked up."""
 
-    def __init__(self, config: ObservationConfig):
-        self._length, self._width, self._step = config.grid_length, config.grid_width, config.grid_step
+    def __init__(self, config: HeightsConfig):
+        self._length, self._width, self._step = config.length, config.width, config.step
 
     @cached_property
     def points(self) -> Tensor:

@@ -1,20 +1,56 @@
 """What the policy senses: named terms in a fixed order, from which sizes, scales, noise and mirror maps follow."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from arrive.config import ObservationConfig
+from arrive.fields import NotNegative, Share
 from arrive.robots.robot import Robot
-from arrive.task.heights import HeightGrid
+from arrive.task.heights import HeightGrid, HeightsConfig
 from arrive.task.rotation import rotate_inverse
 from arrive.task.state import Command, State
+from arrive.terms import TERMS, TermMeaning
 
 HEIGHT_OFFSET = 0.5
 """Heights are given relative to this far below the base of a robot of ANYmal C's size (legged_gym) [m]."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """An observation without other parameters."""
+
+    MAIN: ClassVar[str] = "noise"
+
+    noise: NotNegative = 0.0
+    """Half-width of the uniform noise."""
+
+
+def _noise(width: float) -> Noise:
+    return field(default=Noise(width))
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """What the policy senses."""
+
+    noise: bool = True
+    """Whether noise is added."""
+    noise_least: Share = 1.0
+    """Least share of the noise in training: robots get shares from this to 1, evenly spread, each its own for ever."""
+    base_lin_vel: Noise = _noise(0.1)
+    """Base linear velocity [m/s]."""
+    base_ang_vel: Noise = _noise(0.2)
+    """Base angular velocity [rad/s]."""
+    gravity: Noise = _noise(0.05)
+    """Direction of gravity [1]."""
+    joint_pos: Noise = _noise(0.01)
+    """Joint positions [rad]."""
+    joint_vel: Noise = _noise(1.5)
+    """Joint velocities [rad/s]."""
+    heights: HeightsConfig = field(default_factory=HeightsConfig)
 
 
 @dataclass(frozen=True)
@@ -22,20 +58,26 @@ class ObservationTerm:
     """One named slice of the observation."""
 
     name: str
-    unit: str
-    frame: str
+    """One of `arrive.terms`."""
     labels: tuple[str, ...]
     """What each entry is."""
     scale: float
     """The policy receives value * scale."""
     noise: float
-    """Half-width of the uniform noise, in `unit`."""
+    """Half-width of the uniform noise, in the term's unit."""
     mirror: tuple[tuple[int, float], ...]
     """For each entry, the entry it takes from and the sign under left-right reflection."""
     reverse: tuple[tuple[int, float], ...]
     """The same under front-back reflection; as `mirror` counts, of no use for a robot that has no such symmetry."""
     compute: Callable[[State, Any], Tensor]
     """Of the state and the task's own command."""
+    reference: str = ""
+    """What the term's frame has in addition, as it depends on the robot."""
+
+    @property
+    def meaning(self) -> TermMeaning:
+        """Unit and frame."""
+        return TERMS[self.name]
 
     @property
     def size(self) -> int:
@@ -68,9 +110,9 @@ def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float)
     More remaining time than an episode of training has is told as that much: the policy has never seen more.
     """
     target_and_time = (
-        ObservationTerm("target", "m", "base", XYZ, 0.5, 0.0, VECTOR_MIRROR, VECTOR_REVERSE,
+        ObservationTerm("target", XYZ, 0.5, 0.0, VECTOR_MIRROR, VECTOR_REVERSE,
                         lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
-        ObservationTerm("time_left", "s", "", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),), ((0, 1.0),),
+        ObservationTerm("time_left", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),), ((0, 1.0),),
                         lambda s, c: c.time_left_s.clamp(max=episode_s).unsqueeze(-1)),
     )  # fmt: skip
     return around_command(robot, config, target_and_time)
@@ -85,26 +127,24 @@ def around_command(
     """
     joints = robot.joint_names
     joint_maps = joint_mirror(robot), joint_reverse(robot)
-    grid, clip, offset = HeightGrid(config), config.height_clip, height_offset(robot)
+    grid, clip, offset = HeightGrid(config.heights), config.heights.clip, height_offset(robot)
     cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
     return (
-        ObservationTerm("base_lin_vel", "m/s", "base", XYZ, 2.0, config.noise_lin_vel, VECTOR_MIRROR, VECTOR_REVERSE,
+        ObservationTerm("base_lin_vel", XYZ, 2.0, config.base_lin_vel.noise, VECTOR_MIRROR, VECTOR_REVERSE,
                         lambda s, c: s.base_lin_vel_b),
-        ObservationTerm("base_ang_vel", "rad/s", "base", XYZ, 0.25, config.noise_ang_vel, AXIAL_MIRROR, AXIAL_REVERSE,
+        ObservationTerm("base_ang_vel", XYZ, 0.25, config.base_ang_vel.noise, AXIAL_MIRROR, AXIAL_REVERSE,
                         lambda s, c: s.base_ang_vel_b),
-        ObservationTerm("gravity", "1", "base", XYZ, 1.0, config.noise_gravity, VECTOR_MIRROR, VECTOR_REVERSE,
+        ObservationTerm("gravity", XYZ, 1.0, config.gravity.noise, VECTOR_MIRROR, VECTOR_REVERSE,
                         lambda s, c: s.gravity_b),
         *command_terms,
-        ObservationTerm("joint_pos", "rad", "relative to the default pose", joints, 1.0, config.noise_joint_pos,
-                        *joint_maps, lambda s, c: s.joint_offset),
-        ObservationTerm("joint_vel", "rad/s", "joint", joints, 0.05, config.noise_joint_vel, *joint_maps,
-                        lambda s, c: s.joint_vel),
-        ObservationTerm("action", "action scale", "joint", joints, 1.0, 0.0, *joint_maps, lambda s, c: s.action),
-        ObservationTerm("heights", "m", f"heading, {offset:g} m below the base, positive down", cells,
-                        config.height_scale, config.noise_heights, mirror_cells, reverse_cells,
-                        lambda s, c: relative_heights(s, offset).clamp(*clip)),
+        ObservationTerm("joint_pos", joints, 1.0, config.joint_pos.noise, *joint_maps, lambda s, c: s.joint_offset),
+        ObservationTerm("joint_vel", joints, 0.05, config.joint_vel.noise, *joint_maps, lambda s, c: s.joint_vel),
+        ObservationTerm("action", joints, 1.0, 0.0, *joint_maps, lambda s, c: s.action),
+        ObservationTerm("heights", cells, config.heights.scale, config.heights.noise, mirror_cells, reverse_cells,
+                        lambda s, c: relative_heights(s, offset).clamp(*clip),
+                        f", {offset:g} m below the base, positive down"),
     )  # fmt: skip
 
 
@@ -152,7 +192,8 @@ class Observer:
         rows, start = [], 0
         for term in self.terms:
             rows.append({
-                "name": term.name, "start": start, "stop": start + term.size, "unit": term.unit, "frame": term.frame,
+                "name": term.name, "start": start, "stop": start + term.size, "unit": term.meaning.unit,
+                "frame": term.meaning.frame + term.reference,
                 "scale": term.scale, "labels": list(term.labels),
             })  # fmt: skip
             start += term.size

@@ -1,16 +1,18 @@
-"""Tasks by name; a new task is one module and one line here."""
+"""Tasks by name; a new task is one module and two lines here."""
 
 from arrive.errors import unknown_name
-from arrive.task.continuous import ContinuousPositionTask
-from arrive.task.final import FinalPositionTask
+from arrive.task.continuous import ContinuousConfig, ContinuousPositionTask
+from arrive.task.final import FinalConfig, FinalPositionTask
 from arrive.task.task import Task
-from arrive.task.velocity import VelocityTask
+from arrive.task.velocity import VelocityConfig, VelocityTask
 
 TASKS: dict[str, type[Task]] = {
     "final": FinalPositionTask,
     "continuous": ContinuousPositionTask,
     "velocity": VelocityTask,
 }
+AnyTaskConfig = FinalConfig | ContinuousConfig | VelocityConfig
+"""What a configuration's `task` may be; its `name` says which."""
 
 
 def get_task(name: str) -> type[Task]:

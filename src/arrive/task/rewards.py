@@ -1,15 +1,21 @@
 """Reward terms: each a rate per second, so that weight * rate * time step is what a policy step earns.
 
-Rewards are positive; costs are named `*_cost`, are positive too, and get negative weights.
+A term is a function of the state and the task's own command, and a line in `PositionRewards` or `VelocityRewards`. What
+else it needs it names as keyword arguments: its own parameters, which stand beside its weight, or fields of the task's
+configuration. Rewards are positive; costs are named `*_cost`, are positive too, and get negative weights.
 """
 
+import inspect
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from arrive.config import TaskConfig
+from arrive.errors import ArriveError
+from arrive.fields import NotNegative, NotPositive, Positive
 from arrive.task.state import Command, State
 
 STALL_SPEED = 0.1
@@ -20,8 +26,45 @@ PACES = (0.3, 1.5)
 """Slowest and fastest speed that the `pace` reward asks for [m/s]."""
 LEAST_TIME_S = 0.2
 """Less remaining time than this is taken for this much [s]."""
-AIR_TIME_S = 0.5
-"""How long a foot should be in the air in one step (legged_gym) [s]."""
+CRASH_COST = "crash_cost"
+"""Name of the term that is paid once, at a crash, and whose weight a schedule may change."""
+
+
+@dataclass(frozen=True)
+class Reward:
+    """A reward without parameters of its own; 0 for none."""
+
+    MAIN: ClassVar[str] = "weight"
+
+    weight: NotNegative = 0.0
+    """Weight; 0 leaves the term out."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A cost without parameters of its own; 0 for none."""
+
+    MAIN: ClassVar[str] = "weight"
+
+    weight: NotPositive = 0.0
+    """Weight; 0 leaves the term out."""
+
+
+@dataclass(frozen=True)
+class Approach(Reward):
+    """The reward `approach`."""
+
+    speed: Positive = 1.0
+    """Speed towards the target at which it saturates [m/s]."""
+    radius: Positive = 0.5
+    """Nearer to the target than this, and within the arrival radius, it is full [m]. At the arrival radius itself
+    robots may learn to stop just there, and miss it by a centimetre."""
+
+
+def term(function: Callable[..., Tensor], config: Reward | Cost | None = None) -> Any:
+    """A field of a table of rewards: the function that computes the term, and its parameters where it has some."""
+    default = config or (Cost() if function.__name__.endswith("_cost") else Reward())
+    return field(default=default, metadata={"function": function})
 
 
 def distance_to_target(state: State, command: Command) -> Tensor:
@@ -34,54 +77,54 @@ def in_window(command: Command, window_s: float) -> Tensor:
     return command.time_left_s < window_s
 
 
-def task(state: State, command: Command, config: TaskConfig) -> Tensor:
+def task(state: State, command: Command, *, reward_window_s: float) -> Tensor:
     """Being at the target during the last T_r seconds: 1/T_r * 1/(1 + |x - x*|^2) (paper, eq. 1).
 
     Returns:
         (n,) rate [1/s]; its integral over the window is at most 1.
     """
     distance_sq = (command.target_w - state.base_pos_w).square().sum(-1)
-    return in_window(command, config.reward_window_s) / (config.reward_window_s * (1.0 + distance_sq))
+    return in_window(command, reward_window_s) / (reward_window_s * (1.0 + distance_sq))
 
 
-def task_share(state: State, command: Command, config: TaskConfig) -> tuple[Tensor, Tensor]:
+def task_share(state: State, command: Command, *, reward_window_s: float) -> tuple[Tensor, Tensor]:
     """(n,) the task reward over its maximum, 1/(1 + |x - x*|^2), and (n,) bool: it is being paid."""
     share = 1.0 / (1.0 + distance_to_target(state, command).square())
-    return share, in_window(command, config.reward_window_s)
+    return share, in_window(command, reward_window_s)
 
 
-def exploration(state: State, command: Command, config: TaskConfig) -> Tensor:
+def exploration(state: State, command: Command) -> Tensor:
     """Cosine between the base's velocity and the direction to the target (paper, eq. 3), (n,) in -1..1."""
     return torch.cosine_similarity(state.base_lin_vel_w, command.target_w - state.base_pos_w, dim=-1)
 
 
-def stall_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def stall_cost(state: State, command: Command) -> Tensor:
     """1 while waiting (slower than 0.1 m/s) farther than 0.5 m from the target (paper, eq. 4), (n,)."""
     slow = state.base_lin_vel_w.norm(dim=-1) < STALL_SPEED
     return (slow & (distance_to_target(state, command) > STALL_DISTANCE)).float()
 
 
-def joint_acc_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def joint_acc_cost(state: State, command: Command) -> Tensor:
     """Sum of squared joint accelerations (paper, eq. 2), (n,) [rad^2/s^4]."""
     return state.joint_acc.square().sum(-1)
 
 
-def torque_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def torque_cost(state: State, command: Command) -> Tensor:
     """Sum of squared joint torques (paper, eq. 2), (n,) [N^2 m^2]."""
     return state.joint_torque.square().sum(-1)
 
 
-def collision_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def collision_cost(state: State, command: Command) -> Tensor:
     """Number of thighs and shanks in contact, N_c (paper, eq. 2), (n,)."""
     return state.collision_contacts
 
 
-def action_rate_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def action_rate_cost(state: State, command: Command) -> Tensor:
     """Squared change of the action (paper, eq. 2), (n,) in squared action units."""
     return (state.action - state.previous_action).square().sum(-1)
 
 
-def foot_acc_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def foot_acc_cost(state: State, command: Command) -> Tensor:
     """Sum over the feet of their squared acceleration (paper, eq. 2), (n,) [m^2/s^4]."""
     return state.foot_acc_w.square().sum((-2, -1))
 
@@ -93,22 +136,21 @@ def _closing(state: State, command: Command) -> tuple[Tensor, Tensor]:
     return (state.base_lin_vel_w[:, :2] * offset).sum(-1) / distance.clamp(min=1e-6), distance
 
 
-def approach(state: State, command: Command, config: TaskConfig) -> Tensor:
-    """Speed towards the target, up to `approach_speed`; 1 within `approach_radius`. Not in the paper.
+def approach(state: State, command: Command, *, speed: float, radius: float, arrival_radius: float) -> Tensor:
+    """Speed towards the target, up to `speed`; 1 within `radius`. Not in the paper.
 
     Unlike the cosine of eq. 3 it grows with speed, so that shuffling does not earn what walking does. Where the arrival
     radius is the smaller of the two, that one holds.
 
     Returns:
-        (n,) share of `approach_speed`, at most 1.
+        (n,) share of `speed`, at most 1.
     """
-    speed, distance = _closing(state, command)
-    share = (speed / config.approach_speed).clamp(-1.0, 1.0)
-    radius = min(config.approach_radius, config.arrival_radius)
-    return torch.where(distance < radius, torch.ones_like(share), share)
+    closing, distance = _closing(state, command)
+    share = (closing / speed).clamp(-1.0, 1.0)
+    return torch.where(distance < min(radius, arrival_radius), torch.ones_like(share), share)
 
 
-def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
+def pace(state: State, command: Command, *, arrival_radius: float) -> Tensor:
     """Speed towards the target over the distance that is left per remaining time. Not in the paper.
 
     That speed is what a joystick's pseudo velocity asks for. The reward grows up to it and falls again beyond it, so
@@ -120,20 +162,20 @@ def pace(state: State, command: Command, config: TaskConfig) -> Tensor:
     speed, distance = _closing(state, command)
     share = speed / (distance / command.time_left_s.clamp(min=LEAST_TIME_S)).clamp(*PACES)
     share = torch.where(share > 1.0, (2.0 - share).clamp(min=0.0), share.clamp(min=-1.0))
-    return torch.where(distance < config.arrival_radius, torch.ones_like(share), share)
+    return torch.where(distance < arrival_radius, torch.ones_like(share), share)
 
 
-def stand(state: State, command: Command, config: TaskConfig) -> Tensor:
+def stand(state: State, command: Command, *, reward_window_s: float, arrival_radius: float) -> Tensor:
     """Standing still at the target during the reward window. Not in the paper.
 
     Returns:
         (n,) rate [1/s]: 1/T_r * exp(-2 |v|) within the arrival radius, v the base's velocity; its integral at most 1.
     """
-    here = (distance_to_target(state, command) < config.arrival_radius) & in_window(command, config.reward_window_s)
-    return here * torch.exp(-2.0 * state.base_lin_vel_w.norm(dim=-1)) / config.reward_window_s
+    here = (distance_to_target(state, command) < arrival_radius) & in_window(command, reward_window_s)
+    return here * torch.exp(-2.0 * state.base_lin_vel_w.norm(dim=-1)) / reward_window_s
 
 
-def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
+def pose_cost(state: State, command: Command) -> Tensor:
     """Sum of squared joint positions relative to the default pose, (n,) [rad^2]. Not in the paper.
 
     Without it nothing asks a robot that has stopped to set its feet under its hips again.
@@ -141,29 +183,87 @@ def pose_cost(state: State, command: Command, config: TaskConfig) -> Tensor:
     return state.joint_offset.square().sum(-1)
 
 
-RewardFunction = Callable[[State, Any, TaskConfig], Tensor]
-"""Of the state, the task's own command, and the configuration."""
+def crash_cost(failed: Tensor) -> Tensor:
+    """1 where the robot has just crashed or fallen, (n,). Paid once: its weight is not multiplied by the time step."""
+    return failed.float()
 
-MOTION_COSTS: dict[str, RewardFunction] = {
-    "joint_acc_cost": joint_acc_cost,
-    "torque_cost": torque_cost,
-    "collision_cost": collision_cost,
-    "action_rate_cost": action_rate_cost,
-    "foot_acc_cost": foot_acc_cost,
-    "pose_cost": pose_cost,
-}
-"""Costs of moving, whatever the command; every task has them."""
 
-REWARDS: dict[str, RewardFunction] = {
-    "task": task,
-    "exploration": exploration,
-    "stall_cost": stall_cost,
-    "approach": approach,
-    "pace": pace,
-    "stand": stand,
-} | MOTION_COSTS
-"""Terms of the tasks that send robots to places."""
-EXPLORATION_REWARDS = ("exploration", "approach", "pace")
-"""Terms that lead the way to the target and are removed, or weakened, once it is found."""
-CRASH_COST = "crash_cost"
-"""Paid once, at a crash, its weight not multiplied by the time step."""
+@dataclass(frozen=True)
+class PositionRewards:
+    """Terms of the tasks that send robots to places."""
+
+    task: Reward = term(task)
+    exploration: Reward = term(exploration)
+    stall_cost: Cost = term(stall_cost)
+    joint_acc_cost: Cost = term(joint_acc_cost)
+    torque_cost: Cost = term(torque_cost)
+    collision_cost: Cost = term(collision_cost)
+    action_rate_cost: Cost = term(action_rate_cost)
+    foot_acc_cost: Cost = term(foot_acc_cost)
+    approach: Approach = term(approach, Approach())
+    stand: Reward = term(stand)
+    pace: Reward = term(pace)
+    pose_cost: Cost = term(pose_cost)
+    crash_cost: Cost = term(crash_cost)
+
+
+def functions(rewards: Any) -> dict[str, Callable[..., Tensor]]:
+    """The function of every term of a table of rewards, by name."""
+    return {row.name: row.metadata["function"] for row in fields(rewards)}
+
+
+LEADING_REWARDS = ("exploration", "approach", "pace")
+"""Terms that lead the way to the target."""
+
+
+class Rewarder:
+    """Computes the weighted rewards of a task's terms, the counterpart of the `Observer`."""
+
+    def __init__(self, task: Any, control_dt: float, dear_crashes: bool = False):
+        """Give every term with a weight its parameters.
+
+        Args:
+            task: the task's configuration, with its `rewards`.
+            control_dt: length of a policy step [s].
+            dear_crashes: whether `crash_cost` is a term even where it has no weight yet.
+
+        Raises:
+            ArriveError: no term has a weight.
+        """
+        weights = {name: getattr(task.rewards, name).weight for name in functions(task.rewards)}
+        self.crash_cost = weights.pop(CRASH_COST)
+        """Weight of a crash; a schedule may change it."""
+        self._pays_crashes = bool(self.crash_cost) or dear_crashes
+        self.terms = {name: bound(name, task) for name, weight in weights.items() if weight}
+        if not self.terms:
+            raise ArriveError("task.rewards has no reward with a weight other than zero")
+        self._weights, self._dt = weights, control_dt
+
+    @property
+    def leads(self) -> bool:
+        """Whether a term leads the way to the target."""
+        return any(name in self.terms for name in LEADING_REWARDS)
+
+    def pay(self, state: State, command: Any, failed: Tensor, exploration: Tensor) -> dict[str, Tensor]:
+        """What one policy step earns, by term, (num_envs,) each; what is not finite earns nothing.
+
+        Args:
+            failed: (num_envs,) bool: the robot has just crashed or fallen.
+            exploration: (num_envs,) what the exploration reward is multiplied by.
+        """
+        terms: dict[str, Tensor] = {}
+        for name, function in self.terms.items():
+            weight = self._weights[name] * (exploration if name == "exploration" else 1.0) * self._dt
+            terms[name] = function(state, command) * weight
+        if self._pays_crashes:
+            terms[CRASH_COST] = crash_cost(failed) * self.crash_cost
+        if not bool(state.finite.all()):
+            terms = {name: torch.where(state.finite, value, 0.0) for name, value in terms.items()}
+        return terms
+
+
+def bound(name: str, task: Any) -> Callable[[State, Any], Tensor]:
+    """A term's function with its parameters, from its own fields or else from the task's."""
+    function, own = functions(task.rewards)[name], getattr(task.rewards, name)
+    asked = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    return partial(function, **{p: getattr(own, p) if hasattr(own, p) else getattr(task, p) for p in asked})

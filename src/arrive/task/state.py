@@ -54,6 +54,8 @@ class State:
     """(n, points) ground height under each point of the yaw-aligned grid around the base [m]."""
     fall_height: Tensor
     """(n,) a base lower than this has fallen into a hole [m]."""
+    finite: Tensor
+    """(n,) bool: the simulation did not diverge; of a robot whose simulation did, everything else is zero."""
 
 
 @dataclass

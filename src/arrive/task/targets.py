@@ -1,11 +1,11 @@
 """Where robots are sent: uniform in polar coordinates around the start, on ground where a target may stand."""
 
 import math
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from arrive.config import TaskConfig
 from arrive.errors import ArriveError
 from arrive.task.heights import look_up
 from arrive.terrain.rasters import Rasters
@@ -16,10 +16,20 @@ MAX_TRIES = 32
 all fail with odds of at most 0.75^32, one in ten thousand; a fixed sweep then finds a valid point."""
 EDGE = 0.5
 """Targets stay this far from the edge of the tile's raster [m]."""
+REACH = RASTER_HALF - EDGE
+"""Farther from the tile's origin along an axis there are no targets [m]."""
+
+
+class Spread(Protocol):
+    """Which targets are drawn; a task's configuration has these fields."""
+
+    target_distance: tuple[float, float]
+    target_height: float
+    crossing_share: float
 
 
 def sample_targets(
-    rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TaskConfig, generator: torch.Generator
+    rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spread, generator: torch.Generator
 ) -> Tensor:
     """Draw a valid target for each robot (paper, section Episode Process).
 
@@ -56,11 +66,11 @@ def sample_targets(
 
 def _on_valid_ground(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
     """(n, k) bool: a target may stand at (n, k, 2) points; none may beyond the raster or at its edge."""
-    inside = (points.abs() < RASTER_HALF - EDGE).all(-1)
+    inside = (points.abs() < REACH).all(-1)
     return inside & look_up(rasters.target_valid, tile_ids, points)
 
 
-def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TaskConfig) -> Tensor:
+def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spread) -> Tensor:
     """(n, 2) the first valid point of a fine polar sweep, for the robots whose draws all failed."""
     device = start_w.device
     radius, angle = torch.meshgrid(

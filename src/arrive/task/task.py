@@ -1,17 +1,31 @@
 """What an environment asks of a task; one module per task implements it."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, Self
 
 import torch
 from torch import Tensor
 
-from arrive.config import Config
 from arrive.robots.robot import Robot
-from arrive.task.observations import ObservationTerm
-from arrive.task.rewards import RewardFunction
+from arrive.task.observations import ObservationConfig, ObservationTerm
 from arrive.task.state import State
 from arrive.terrain.rasters import Rasters
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """What every task's configuration has; each task adds its own fields, and a table of its rewards."""
+
+    name: str
+    """The task, see `arrive list tasks`."""
+    episode_s: float
+    """Longest episode [s]."""
+    rewards: Any
+    """The reward terms with their weights and parameters."""
+
+    def measured(self) -> Self:
+        """The same for a measurement: every episode has the full length and one command."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -75,28 +89,40 @@ class Cruise:
     """(num_envs,) heading of these, in the world frame [rad]."""
 
 
+@dataclass(frozen=True)
+class Setting:
+    """Where a task takes place."""
+
+    num_envs: int
+    control_dt: float
+    """Length of a policy step [s]."""
+    rasters: Rasters
+    generator: torch.Generator
+
+
 class Task(Protocol):
     """Commands, their observation, the rewards on offer, and what counts as success."""
 
-    rewards: dict[str, RewardFunction]
-    sides: tuple[tuple[str, int], tuple[str, int]]
+    Config: ClassVar[type[TaskConfig]]
+    sides: ClassVar[tuple[tuple[str, int], tuple[str, int]]]
     """Term and entry of the observation that are positive where the command leads forwards, and to the left."""
+    bootstraps: ClassVar[bool]
+    """Whether the value at a time-out is bootstrapped as if the episode went on: where the time is not observed. The
+    paper argues against it where it is."""
 
-    def __init__(
-        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | Cruise | None = None
-    ) -> None:
+    def __init__(self, config: Any, setting: Setting, trial: Trial | Cruise | None = None) -> None:
         """Build the task with no commands yet; a trial or a constant command replaces those that are drawn."""
 
     @staticmethod
-    def configure(config: Config) -> Config:
-        """A preset with what this task needs: its episode, rewards and bootstrapping."""
+    def from_preset(config: TaskConfig) -> TaskConfig:
+        """This task's configuration in a preset that is made for another task."""
 
     @property
     def episode_s(self) -> float:
         """The longest episode [s]."""
 
     @staticmethod
-    def observation_terms(config: Config, robot: Robot) -> tuple[ObservationTerm, ...]:
+    def observation_terms(config: Any, sensing: ObservationConfig, robot: Robot) -> tuple[ObservationTerm, ...]:
         """The policy's observation."""
 
     def new_command(self, start: Start, first: bool) -> None:

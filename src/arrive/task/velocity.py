@@ -6,35 +6,22 @@ motion and their weights are the preset's, the same as for the tasks that send r
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from arrive.config import Config, TaskConfig
+from arrive.fields import NotNegative, Positive
 from arrive.robots.robot import Robot
-from arrive.task.observations import ObservationTerm, around_command
-from arrive.task.rewards import AIR_TIME_S, CRASH_COST, MOTION_COSTS, STALL_SPEED, RewardFunction
+from arrive.task import rewards
+from arrive.task.observations import ObservationConfig, ObservationTerm, around_command
+from arrive.task.rewards import STALL_SPEED, Cost, Reward, term
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
-from arrive.task.task import Cruise, Outcome, Start, Trial
-from arrive.terrain.rasters import Rasters
+from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
 from arrive.terrain.tile import RASTER_HALF
 
-EPISODE_S = 20.0
-"""Length of an episode [s]."""
-COMMAND_S = 10.0
-"""A command holds this long [s]."""
-MAX_SPEED = 1.0
-"""Forward speeds are uniform between minus and plus this [m/s]."""
-LEAST_SPEED = 0.2
-"""Slower commands become standing still [m/s]."""
-MAX_YAW_RATE = 1.0
-"""Yaw rates are cut at this [rad/s]."""
-HEADING_GAIN = 0.5
-"""Yaw rate asked for per heading error [1/s]."""
-TRACKING_WIDTH = 0.25
-"""The tracking rewards are exp(-error^2 / this); error in m/s and rad/s."""
 WALK_TO_RISE = 4.0
 """Who ends farther than this from the start goes up a level: half of legged_gym's tile of 8 m [m]."""
 TILE_END = RASTER_HALF - 1.0
@@ -46,7 +33,7 @@ PROPORTIONS = {
     "vertical_speed_cost": -2.0,
     "roll_pitch_rate_cost": -0.05,
 }
-"""legged_gym's weights of the terms that belong to tracking; `configure` scales them together."""
+"""legged_gym's weights of the terms that belong to tracking; `from_preset` scales them together."""
 
 
 @dataclass
@@ -69,62 +56,113 @@ class VelocityCommand:
     """(n,) bool: the robot has left its tile."""
 
 
-def yaw_rate(state: State, command: VelocityCommand) -> Tensor:
-    """(n,) yaw rate that turns the robot to the commanded heading, within `MAX_YAW_RATE` [rad/s]."""
+def yaw_rate(state: State, command: VelocityCommand, heading_gain: float, max_yaw_rate: float) -> Tensor:
+    """(n,) yaw rate that turns the robot to the commanded heading, within `max_yaw_rate` [rad/s]."""
     error = command.heading - yaw_of(state.base_quat_w)
     wrapped = torch.remainder(error + math.pi, 2.0 * math.pi) - math.pi
-    return (HEADING_GAIN * wrapped).clamp(-MAX_YAW_RATE, MAX_YAW_RATE)
+    return (heading_gain * wrapped).clamp(-max_yaw_rate, max_yaw_rate)
 
 
-def track_speed(state: State, command: VelocityCommand, config: TaskConfig) -> Tensor:
-    """exp(-|v - v*|^2 / 0.25) of the horizontal velocity in the base frame; v* has no sideways part, (n,) in 0..1."""
+def track_speed(state: State, command: VelocityCommand, *, width: float) -> Tensor:
+    """exp(-|v - v*|^2 / width) of the horizontal velocity in the base frame; v* has no sideways part, (n,) in 0..1."""
     error = (state.base_lin_vel_b[:, 0] - command.speed).square() + state.base_lin_vel_b[:, 1].square()
-    return torch.exp(-error / TRACKING_WIDTH)
+    return torch.exp(-error / width)
 
 
-def track_yaw_rate(state: State, command: VelocityCommand, config: TaskConfig) -> Tensor:
-    """exp(-(w - w*)^2 / 0.25) of the yaw rate, (n,) in 0..1."""
-    return torch.exp(-(state.base_ang_vel_b[:, 2] - yaw_rate(state, command)).square() / TRACKING_WIDTH)
+def track_yaw_rate(
+    state: State, command: VelocityCommand, *, width: float, heading_gain: float, max_yaw_rate: float
+) -> Tensor:
+    """exp(-(w - w*)^2 / width) of the yaw rate, (n,) in 0..1."""
+    wanted = yaw_rate(state, command, heading_gain, max_yaw_rate)
+    return torch.exp(-(state.base_ang_vel_b[:, 2] - wanted).square() / width)
 
 
-def air_time(state: State, command: VelocityCommand, config: TaskConfig) -> Tensor:
-    """Sum over the feet that have just landed of their time in the air minus 0.5 s, none where told to stand, (n,) [s].
+def air_time(state: State, command: VelocityCommand, *, least_s: float) -> Tensor:
+    """Sum over the feet that have just landed of their time in the air minus `least_s`, 0 if told to stand, (n,) [s].
 
     As in legged_gym it is an event, yet multiplied by the time step like a rate.
     """
     landed = state.foot_landed_s
-    return ((landed - AIR_TIME_S) * (landed > 0)).sum(-1) * (command.speed.abs() > 0.1)
+    return ((landed - least_s) * (landed > 0)).sum(-1) * (command.speed.abs() > 0.1)
 
 
-def vertical_speed_cost(state: State, command: VelocityCommand, config: TaskConfig) -> Tensor:
+def vertical_speed_cost(state: State, command: VelocityCommand) -> Tensor:
     """Squared vertical velocity of the base in its frame, (n,) [m^2/s^2]."""
     return state.base_lin_vel_b[:, 2].square()
 
 
-def roll_pitch_rate_cost(state: State, command: VelocityCommand, config: TaskConfig) -> Tensor:
+def roll_pitch_rate_cost(state: State, command: VelocityCommand) -> Tensor:
     """Squared roll and pitch rates of the base, (n,) [rad^2/s^2]."""
     return state.base_ang_vel_b[:, :2].square().sum(-1)
+
+
+@dataclass(frozen=True)
+class Tracking(Reward):
+    """The rewards `track_speed` and `track_yaw_rate`."""
+
+    width: Positive = 0.25
+    """It is exp(-error^2 / this), the error in m/s or rad/s."""
+
+
+@dataclass(frozen=True)
+class AirTime(Reward):
+    """The reward `air_time`."""
+
+    least_s: NotNegative = 0.5
+    """How long a foot should be in the air in one step (legged_gym) [s]."""
+
+
+@dataclass(frozen=True)
+class VelocityRewards:
+    """Terms of velocity tracking."""
+
+    track_speed: Tracking = term(track_speed, Tracking())
+    track_yaw_rate: Tracking = term(track_yaw_rate, Tracking())
+    air_time: AirTime = term(air_time, AirTime())
+    vertical_speed_cost: Cost = term(vertical_speed_cost)
+    roll_pitch_rate_cost: Cost = term(roll_pitch_rate_cost)
+    joint_acc_cost: Cost = term(rewards.joint_acc_cost)
+    torque_cost: Cost = term(rewards.torque_cost)
+    collision_cost: Cost = term(rewards.collision_cost)
+    action_rate_cost: Cost = term(rewards.action_rate_cost)
+    foot_acc_cost: Cost = term(rewards.foot_acc_cost)
+    pose_cost: Cost = term(rewards.pose_cost)
+    crash_cost: Cost = term(rewards.crash_cost)
+
+
+@dataclass(frozen=True)
+class VelocityConfig(TaskConfig):
+    """A forward speed and a heading to follow."""
+
+    name: Literal["velocity"] = "velocity"
+    """The task, see `arrive list tasks`."""
+    episode_s: Positive = 20.0
+    """Length of an episode [s]."""
+    command_s: Positive = 10.0
+    """A command holds this long [s]."""
+    max_speed: NotNegative = 1.0
+    """Forward speeds are uniform between minus and plus this [m/s]."""
+    least_speed: NotNegative = 0.2
+    """Slower commands become standing still [m/s]."""
+    max_yaw_rate: NotNegative = 1.0
+    """Yaw rates are cut at this [rad/s]."""
+    heading_gain: NotNegative = 0.5
+    """Yaw rate asked for per heading error [1/s]."""
+    rewards: VelocityRewards = VelocityRewards()
 
 
 class VelocityTask:
     """Forward speed and heading to follow, for as long as the episode lasts."""
 
+    Config = VelocityConfig
     sides = (("speed_command", 0), ("yaw_rate_command", 0))
-    rewards: dict[str, RewardFunction] = {
-        "track_speed": track_speed,
-        "track_yaw_rate": track_yaw_rate,
-        "air_time": air_time,
-        "vertical_speed_cost": vertical_speed_cost,
-        "roll_pitch_rate_cost": roll_pitch_rate_cost,
-    } | MOTION_COSTS
+    bootstraps = True
 
-    def __init__(
-        self, config: Config, rasters: Rasters, generator: torch.Generator, trial: Trial | Cruise | None = None
-    ):
+    def __init__(self, config: VelocityConfig, setting: Setting, trial: Trial | Cruise | None = None):
         """Build the task with no commands yet."""
-        self._config, self._trial = config.task, trial
-        self._generator = generator
-        n, device = config.num_envs, rasters.heights.device
+        self._config, self._trial = config, trial
+        self._generator = setting.generator
+        n, device = setting.num_envs, setting.rasters.heights.device
         self._command = VelocityCommand(
             speed=torch.zeros(n, device=device),
             heading=torch.zeros(n, device=device),
@@ -136,19 +174,20 @@ class VelocityTask:
         )
 
     @staticmethod
-    def configure(config: Config) -> Config:
-        """The preset with 20 s episodes, bootstrapped time-outs, its costs of motion, and tracking instead of targets.
+    def from_preset(config: TaskConfig) -> TaskConfig:
+        """The preset's costs of motion, and tracking instead of targets.
 
         Perfect tracking of speed and heading earns per second what the preset's task reward earns on average over an
         episode, weight / T; the other tracking terms keep legged_gym's proportion to it.
         """
-        task = config.task
+        if isinstance(config, VelocityConfig):
+            return config
         tracking = PROPORTIONS["track_speed"] + PROPORTIONS["track_yaw_rate"]
-        scale = task.rewards.get("task", 0.0) / task.episode_s / tracking
-        kept = {name: weight for name, weight in task.rewards.items() if name in MOTION_COSTS or name == CRASH_COST}
-        rewards = {name: scale * weight for name, weight in PROPORTIONS.items()} | kept
-        changed = replace(task, rewards=rewards, episode_s=EPISODE_S, episode_min_s=EPISODE_S, bootstrap_timeouts=True)
-        return replace(config, task=changed)
+        scale = config.rewards.task.weight / config.episode_s / tracking
+        own = VelocityRewards()
+        tracked = {name: replace(getattr(own, name), weight=scale * weight) for name, weight in PROPORTIONS.items()}
+        kept = {row.name: getattr(config.rewards, row.name) for row in fields(own) if row.name not in PROPORTIONS}
+        return VelocityConfig(rewards=VelocityRewards(**tracked, **kept))
 
     @property
     def episode_s(self) -> float:
@@ -169,14 +208,16 @@ class VelocityTask:
         return command.start_w + way.unsqueeze(-1) * direction
 
     @staticmethod
-    def observation_terms(config: Config, robot: Robot) -> tuple[ObservationTerm, ...]:
+    def observation_terms(
+        config: VelocityConfig, sensing: ObservationConfig, robot: Robot
+    ) -> tuple[ObservationTerm, ...]:
         command = (
-            ObservationTerm("speed_command", "m/s", "base", ("x",), 2.0, 0.0, ((0, 1.0),), ((0, -1.0),),
+            ObservationTerm("speed_command", ("x",), 2.0, 0.0, ((0, 1.0),), ((0, -1.0),),
                             lambda s, c: c.speed.unsqueeze(-1)),
-            ObservationTerm("yaw_rate_command", "rad/s", "base", ("z",), 0.25, 0.0, ((0, -1.0),), ((0, -1.0),),
-                            lambda s, c: yaw_rate(s, c).unsqueeze(-1)),
+            ObservationTerm("yaw_rate_command", ("z",), 0.25, 0.0, ((0, -1.0),), ((0, -1.0),),
+                            lambda s, c: yaw_rate(s, c, config.heading_gain, config.max_yaw_rate).unsqueeze(-1)),
         )  # fmt: skip
-        return around_command(robot, config.observation, command)
+        return around_command(robot, sensing, command)
 
     def new_command(self, start: Start, first: bool) -> None:
         command, ids = self._command, start.env_ids
@@ -199,8 +240,8 @@ class VelocityTask:
         if self._trial is not None:
             command.speed[ids], command.heading[ids] = self._trial.speed, 0.0
             return
-        speed = MAX_SPEED * (2.0 * self._uniform(len(ids)) - 1.0)
-        command.speed[ids] = torch.where(speed.abs() > LEAST_SPEED, speed, 0.0)
+        speed = self._config.max_speed * (2.0 * self._uniform(len(ids)) - 1.0)
+        command.speed[ids] = torch.where(speed.abs() > self._config.least_speed, speed, 0.0)
         command.heading[ids] = math.pi * (2.0 * self._uniform(len(ids)) - 1.0)
 
     def _uniform(self, n: int) -> Tensor:
@@ -219,7 +260,7 @@ class VelocityTask:
         command.time_left_s -= dt
         command.age_s += dt
         if self._trial is None:
-            stale = (command.age_s > COMMAND_S - dt / 2).nonzero().squeeze(-1)
+            stale = (command.age_s > self._config.command_s - dt / 2).nonzero().squeeze(-1)
             if len(stale):
                 self._draw(stale)
         return (command.time_left_s < dt / 2) | command.outside
@@ -254,7 +295,7 @@ class VelocityTask:
         )
 
     def task_share(self, state: State, failed: Tensor) -> tuple[Tensor, Tensor]:
-        share = track_speed(state, self._command, self._config)
+        share = track_speed(state, self._command, width=self._config.rewards.track_speed.width)
         return share, torch.ones_like(share)
 
     def state_dict(self) -> dict[str, Tensor]:

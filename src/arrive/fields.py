@@ -1,0 +1,322 @@
+"""Fields of configurations: their ranges and words, checks, changes by name, and the way to and from plain data.
+
+A configuration is a frozen dataclass whose fields may be such dataclasses again. A field's range stands in its type,
+`Annotated[float, Range(0.0, 1.0)]`; a string under it says what it is, with its unit in brackets. Where a range depends
+on another field the dataclass has a method `rules`.
+"""
+
+import ast
+import dataclasses
+import difflib
+import inspect
+import itertools
+import json
+import math
+import textwrap
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from arrive.errors import ArriveError, unknown_name
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a number may be, or each number of a list; never NaN or infinite."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False
+    """Whether `low` itself is too low."""
+    below: bool = False
+    """Whether `high` itself is too high."""
+
+    def holds(self, value: float) -> bool:
+        """Whether the number is in the range."""
+        if not math.isfinite(value):
+            return False
+        enough = value > self.low if self.above else value >= self.low
+        return enough and (value < self.high if self.below else value <= self.high)
+
+    def __str__(self) -> str:
+        low = "" if self.low == -math.inf else f"{'above' if self.above else 'at least'} {_figure(self.low)}"
+        high = "" if self.high == math.inf else f"{'below' if self.below else 'at most'} {_figure(self.high)}"
+        if low and high and not (self.above or self.below):
+            return f"{_figure(self.low)} to {_figure(self.high)}"
+        return " and ".join(part for part in (low, high) if part) or "any finite number"
+
+
+def _figure(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:g}"
+
+
+Positive = Annotated[float, Range(0.0, above=True)]
+NotNegative = Annotated[float, Range(0.0)]
+NotPositive = Annotated[float, Range(high=0.0)]
+Share = Annotated[float, Range(0.0, 1.0)]
+Count = Annotated[int, Range(1)]
+Interval = tuple[float, float]
+"""Two numbers, the smaller one first."""
+
+
+class Rule(NamedTuple):
+    """What a field must be because of other fields."""
+
+    field: str
+    must: str
+    holds: bool
+
+
+class Row(NamedTuple):
+    """One field as people read about it."""
+
+    path: str
+    value: Any
+    unit: str
+    range: str
+    meaning: str
+
+
+def hints_of(kind: type) -> dict[str, Any]:
+    """The type of every field, with its range."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {row.name: hints[row.name] for row in dataclasses.fields(kind)}
+
+
+def is_interval(hint: Any) -> bool:
+    """Whether a field is a pair of numbers, the smaller one first."""
+    return get_origin(hint) is tuple and get_args(hint) == (float, float)
+
+
+def check(config: Any) -> None:
+    """Make sure that every field is in its range.
+
+    Raises:
+        ArriveError: lists every field that is not, with its value and what it must be.
+    """
+    problems = [f"{path} must be {must}, not {_shown(value)}" for path, value, must in problems_of(config)]
+    if problems:
+        raise ArriveError("; ".join(problems))
+
+
+def _shown(value: Any) -> str:
+    return json.dumps(value) if isinstance(value, tuple | bool) else repr(value)
+
+
+def problems_of(config: Any, where: str = "") -> Iterator[tuple[str, Any, str]]:
+    """(path, value, what it must be) of every field that is out of range; rules speak only where ranges hold."""
+    bad = False
+    for name, hint in hints_of(type(config)).items():
+        value, path = getattr(config, name), f"{where}{name}"
+        if dataclasses.is_dataclass(value):
+            yield from problems_of(value, f"{path}.")
+        elif (must := _out_of_range(hint, value)) is not None:
+            bad = True
+            yield path, value, must
+    if bad or not hasattr(config, "rules"):
+        return
+    for rule in config.rules():
+        if not rule.holds:
+            value = config
+            for name in rule.field.split("."):
+                value = getattr(value, name)
+            yield f"{where}{rule.field}", value, rule.must
+
+
+def _out_of_range(hint: Any, value: Any) -> str | None:
+    """What a value must be, where it is not."""
+    base, limits = parted(hint)
+    if isinstance(value, tuple):
+        numbers = [item for item in value if isinstance(item, float | int)]
+        fine = bool(value) and all(limits.holds(item) for item in numbers)
+        if is_interval(base):
+            fine = fine and value[0] <= value[1]
+        return None if fine else _words(hint)
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return None if limits.holds(value) else _words(hint)
+    return None
+
+
+def _words(hint: Any) -> str:
+    """The range of a field in words."""
+    base, limits = parted(hint)
+    if is_interval(base):
+        return f"two numbers, the smaller first, {limits}"
+    if get_origin(base) is tuple:
+        return "a list of at least one" + (f" number, {limits}" if limits != Range() else "")
+    if get_origin(base) is Literal:
+        return ", ".join(map(str, get_args(base)))
+    return {bool: "true or false", str: ""}.get(base, str(limits))
+
+
+def parted(hint: Any) -> tuple[Any, Range]:
+    """A field's type without its range, and the range."""
+    if get_origin(hint) is Annotated:
+        base, *notes = get_args(hint)
+        return base, next(note for note in notes if isinstance(note, Range))
+    return hint, Range()
+
+
+def rows(config: Any, where: str = "") -> Iterator[Row]:
+    """Every field of a configuration, with its value there."""
+    words = documentation(type(config))
+    for name, hint in hints_of(type(config)).items():
+        value = getattr(config, name)
+        if not dataclasses.is_dataclass(value):
+            meaning = words.get(name, "")
+            yield Row(f"{where}{name}", value, _unit(meaning), _words(hint), meaning)
+            continue
+        for row in rows(value, f"{where}{name}."):
+            if row.path == f"{where}{name}.{getattr(value, 'MAIN', '')}":
+                row = row._replace(meaning=f"{words.get(name, '')} {row.meaning}".strip())
+                row = row._replace(unit=_unit(row.meaning))
+            yield row
+
+
+def _unit(meaning: str) -> str:
+    """The first words in brackets."""
+    return meaning.partition("[")[2].partition("]")[0]
+
+
+@cache
+def documentation(kind: type) -> dict[str, str]:
+    """What the strings under a dataclass's fields say, those of the classes it extends too."""
+    words: dict[str, str] = {}
+    for owner in reversed([base for base in kind.__mro__ if dataclasses.is_dataclass(base)]):
+        body = ast.parse(textwrap.dedent(inspect.getsource(owner))).body[0].body
+        for field, below in itertools.pairwise(body):
+            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+                words[field.target.id] = " ".join(ast.literal_eval(below.value).split())
+    return words
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """The configuration as plain JSON data."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def from_dict(kind: type, data: dict[str, Any], where: str = "") -> Any:
+    """Rebuild a configuration dataclass from `to_dict` data.
+
+    Raises:
+        ArriveError: a field does not exist or has the wrong type; the message names it and lists the valid ones.
+    """
+    hints = hints_of(kind)
+    for name in data:
+        if name not in hints:
+            raise unknown_name(f"field {where}{name}; in {where or 'the configuration'}", name, hints)
+    return kind(**{name: _convert(hints[name], value, f"{where}{name}") for name, value in data.items()})
+
+
+def override(config: Any, assignments: tuple[str, ...]) -> Any:
+    """Change fields by `path=value`, e.g. `task.rewards.stall_cost=-2` or `ppo.hidden=[128,64]`.
+
+    Of a term with several fields a number alone is its weight, or its noise.
+
+    Raises:
+        ArriveError: malformed, or no such field.
+    """
+    data = to_dict(config)
+    for assignment in assignments:
+        path, sign, text = assignment.partition("=")
+        if not sign:
+            raise ArriveError(f"cannot read {assignment!r}: write PATH=VALUE, e.g. ppo.gamma=0.995")
+        _assign(config, data, path.strip(), _parse(text))
+    return from_dict(type(config), data)
+
+
+def _assign(config: Any, data: dict[str, Any], path: str, value: Any) -> None:
+    part = config
+    *way, last = path.split(".")
+    for key in way:
+        if not dataclasses.is_dataclass(getattr(part, key, None)):
+            raise _no_field(config, part, path, key)
+        part, data = getattr(part, key), data[key]
+    if last not in data:
+        raise _no_field(config, part, path, last)
+    main = getattr(getattr(part, last), "MAIN", None)
+    if main is None or isinstance(value, dict):
+        data[last] = value
+    else:
+        data[last][main] = value
+
+
+def _no_field(config: Any, part: Any, path: str, key: str) -> ArriveError:
+    """The error for a path that leads nowhere: what was meant, there or elsewhere, and what is valid there."""
+    valid = [row.name for row in dataclasses.fields(part)] if dataclasses.is_dataclass(part) else []
+    paths = [row.path for row in rows(config)]
+    elsewhere = [known for known in paths if _words_of(key) <= _words_of(known)]
+    if not elsewhere and difflib.get_close_matches(key, valid, n=1):
+        return unknown_name(f"field {path}: no", key, valid)
+    meant = max(elsewhere or paths, key=lambda known: _likeness(path, known))
+    hint = f" Did you mean {meant}?" if elsewhere or _likeness(path, meant) > 0.5 else ""
+    return ArriveError(
+        f"unknown field {path}: no {key!r}.{hint} Valid: {', '.join(sorted(valid)) or 'nothing below it'}"
+    )
+
+
+def _words_of(path: str) -> set[str]:
+    return set(path.replace(".", "_").split("_"))
+
+
+def _likeness(path: str, known: str) -> float:
+    """How much two paths say the same: the share of words in common, and a little for common letters."""
+    first, second = _words_of(path), _words_of(known)
+    letters = difflib.SequenceMatcher(None, path, known).ratio()
+    return len(first & second) / len(first | second) + 0.25 * letters
+
+
+def _parse(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return {"True": True, "False": False}.get(text, text)
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    hint, _ = parted(hint)
+    if isinstance(hint, types.UnionType) or get_origin(hint) is Union:
+        return _choose(get_args(hint), value, where)
+    if dataclasses.is_dataclass(hint):
+        if hasattr(hint, "MAIN") and not isinstance(value, dict):
+            value = {hint.MAIN: value}
+        if not isinstance(value, dict):
+            raise ArriveError(f"{where} has fields of its own, it cannot be {value!r}")
+        return from_dict(hint, value, f"{where}.")
+    if get_origin(hint) is tuple:
+        return _convert_tuple(hint, value, where)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if options := get_args(hint):
+        if value not in options:
+            raise unknown_name(f"value of {where}", str(value), map(str, options))
+        return value
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+        raise ArriveError(f"{where} must be {hint.__name__}, not {value!r}")
+    return value
+
+
+def _choose(kinds: tuple[type, ...], value: Any, where: str) -> Any:
+    """The dataclass of several whose `name` the data has."""
+    if not isinstance(value, dict):
+        raise ArriveError(f"{where} has fields of its own, it cannot be {value!r}")
+    by_name = {kind().name: kind for kind in kinds}
+    name = value.get("name")
+    if name not in by_name:
+        raise unknown_name(where, str(name), by_name)
+    try:
+        return from_dict(by_name[name], value, f"{where}.")
+    except ArriveError as error:
+        raise ArriveError(f"{error} ({where} {name!r})") from None
+
+
+def _convert_tuple(hint: Any, value: Any, where: str) -> tuple:
+    if not isinstance(value, list | tuple):
+        raise ArriveError(f"{where} must be a list, not {value!r}")
+    kinds = get_args(hint)
+    if kinds[-1] is not Ellipsis and len(kinds) != len(value):
+        raise ArriveError(f"{where} must have {len(kinds)} entries, not {len(value)}")
+    kinds = (kinds[0],) * len(value) if kinds[-1] is Ellipsis else kinds
+    return tuple(_convert(kind, item, where) for kind, item in zip(kinds, value, strict=True))
