@@ -15,7 +15,6 @@ from arrive.deployment.policy_file import read_policy_file
 
 TINY = [
     "task.episode_s=0.4",
-    "task.reward_window_s=0.2",
     "task.episode_min_s=0.4",
     "task.reward_window_s=0.4",
     "ppo.hidden=[16]",

@@ -231,7 +231,7 @@ def changed(config: Any, path: list[str], value: Any) -> Any:
         ("task.stop_share=0.2", ["task.stop_share", "0 where task.retarget_s is 0"]),
         ("ppo.mini_batches=2000000", ["ppo.mini_batches", "at most the batch of 24576"]),
         ("ppo.hidden=[]", ["ppo.hidden", "at least one"]),
-        ("physics.contact_time_s=0.001", ["physics.contact_time_s", "at least two physics steps"]),
+        ("physics.contact_time_s=0.001", ["physics.contact_time_s", "at least 2 physics steps"]),
         ("observation.heights.clip=[0.1,1]", ["observation.heights.clip", "the first below 0"]),
         ("num_envs=0", ["num_envs", "at least 1", "not 0"]),
         ("num_envs=2000000000", ["num_envs", "memory", "2000000000"]),

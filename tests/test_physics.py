@@ -14,6 +14,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
+from arrive.fields import check
 from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
@@ -357,9 +358,9 @@ def test_payload_scales_mass_and_inertia_however_the_robot_gives_them():
 
 
 def test_time_constants_that_mujoco_would_raise_silently_are_refused():
-    with pytest.raises(ArriveError, match=r"contact_time_s must be at least 2 physics steps, 0.02 s, .* not 0.01 s"):
-        PhysicsConfig(timestep_s=0.01)
-    PhysicsConfig(timestep_s=0.01, contact_time_s=0.02)
+    with pytest.raises(ArriveError, match=r"contact_time_s must be at least 2 physics steps, 0.02 s, .* not 0.01"):
+        check(PhysicsConfig(timestep_s=0.01))
+    check(PhysicsConfig(timestep_s=0.01, contact_time_s=0.02))
     tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
     with pytest.raises(ArriveError, match=r"limit of joint LF_HAA has a time constant of 0.02 s.*timestep_s to 0.01"):
         compile_world(ROBOT, tile, PhysicsConfig(timestep_s=0.02, contact_time_s=0.04))

@@ -111,7 +111,9 @@ def problems_of(config: Any, where: str = "") -> Iterator[tuple[str, Any, str]]:
     for name, hint in hints_of(type(config)).items():
         value, path = getattr(config, name), f"{where}{name}"
         if dataclasses.is_dataclass(value):
-            yield from problems_of(value, f"{path}.")
+            below = list(problems_of(value, f"{path}."))
+            bad = bad or bool(below)
+            yield from below
         elif (must := _out_of_range(hint, value)) is not None:
             bad = True
             yield path, value, must

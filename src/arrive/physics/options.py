@@ -8,7 +8,7 @@ import mujoco
 from arrive.actuation.clip import MotorClip
 from arrive.actuation.motor import MotorKind
 from arrive.errors import ArriveError
-from arrive.fields import Count, NotNegative, Positive, Range
+from arrive.fields import Count, NotNegative, Positive, Range, Rule
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
@@ -60,14 +60,14 @@ class PhysicsConfig:
                 "physics.motor=network and physics.motor_file=FILE go together; physics.motor is "
                 f"{self.motor!r} and physics.motor_file {self.motor_file!r}"
             )
-        least = LEAST_TIME_STEPS * self.timestep_s
-        if not self.contact_time_s >= least * (1.0 - 1e-9):
-            raise ArriveError(
-                f"physics.contact_time_s must be at least {LEAST_TIME_STEPS} physics steps, {least:.6g} s, for MuJoCo "
-                f"takes no shorter time, not {self.contact_time_s:g} s"
-            )
         if self.motor != "network" and self.motor_clip != "affine":
             raise ArriveError(f"physics.motor_clip is for physics.motor=network, not for {self.motor!r}")
+
+    def rules(self) -> tuple[Rule, ...]:
+        """What fields must be because of others."""
+        least = LEAST_TIME_STEPS * self.timestep_s
+        must = f"at least {LEAST_TIME_STEPS} physics steps, {least:.6g} s, for MuJoCo takes no shorter time"
+        return (Rule("contact_time_s", must, self.contact_time_s >= least * (1.0 - 1e-9)),)
 
     @property
     def control_dt(self) -> float:
