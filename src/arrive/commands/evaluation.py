@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.console import Console
@@ -11,13 +11,16 @@ from rich.progress import Progress
 from rich.table import Table
 
 from arrive.commands.files import write_json
+from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation import difficulty
-from arrive.evaluation.arrival import Arrival, CellResult, cells_of
+from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, cells_of, choose_cells
 from arrive.evaluation.arrival import evaluate as evaluate_policy
 from arrive.evaluation.episode import Episode
+from arrive.evaluation.reach import REACH_NAME, Errands, check_policy, effort, hardest_solved
+from arrive.evaluation.reach import measure as measure_reach
 from arrive.learning.policy import Policy, load_policy
 from arrive.learning.rundir import CONFIG_NAME, DIFFICULTY_NAME
 from arrive.physics.device import choose_device, describe_device
@@ -25,41 +28,64 @@ from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
 from arrive.report.diagnosis import why_stuck
+from arrive.report.reach import direction_table, distance_table, ground_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, read_run
 from arrive.report.write import write_report
-from arrive.terrain import parse_families
+from arrive.terrain import Family
+from arrive.terrain.ground import Ground
 
 if TYPE_CHECKING:
     from arrive.commands.options import Eval, Report
+
+ERRANDS = {"target_distance": "distances", "direction": "directions", "time": "times"}
+"""Options of the protocol `reach`, and what each gives to `Errands`."""
 
 
 def evaluate(command: Eval) -> None:
     """Measure policies, print tables and what they fail at, and write JSON and pictures."""
     if command.json and command.others:
         raise ArriveError("--json takes the result of one policy; measure several one by one")
+    if command.episodes < 1:
+        raise ArriveError(f"--episodes must be at least 1, not {command.episodes}")
+    errands = {name: value for name in ERRANDS if (value := getattr(command, name)) is not None}
+    protocol = command.protocol or ("reach" if errands else "arrival")
+    if errands and protocol != "reach":
+        raise ArriveError(f"--{next(iter(errands)).replace('_', '-')} goes with --protocol reach, not {protocol}")
+    if command.levels is not None and protocol != "difficulty":
+        raise ArriveError("--levels goes with --protocol difficulty; choose one level of the policy's own with --level")
     # Small networks gain little from torch's threads, lose six times the speed where the machine is busy, and one
     # thread gives the same sums on every machine of a kind.
     threads = use_threads(command.threads)
     torch.set_num_threads(1)
     device = choose_device(command.device)
     print(describe_device(device, command.device, threads))
-    measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty}[command.protocol]
+    measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty, "reach": _evaluate_reach}[protocol]
     for path in (command.policy, *command.others):
         measure(command, load_policy(path, device), threads)
 
 
+def _chosen(command: Eval, policy: Policy) -> list[tuple[Family, Cell | None]]:
+    return choose_cells(policy.config, command.terrain, command.level, command.value)
+
+
 def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
-    if command.levels is not None:
-        raise ArriveError("--levels goes with --protocol difficulty; choose one level of training with --level")
-    families = parse_families(command.terrain or ",".join(policy.config.terrain.families))
-    cells = cells_of(policy.config, families, command.level)
+    chosen, config = _chosen(command, policy), policy.config
+    cells = [cell for family, one in chosen for cell in ([one] if one else cells_of(config, [family]))]
+    if command.json:
+        keep_longer(command.json, len(cells) * command.episodes, command.force)
     with Progress(transient=True) as bar:
         steps = bar.add_task(f"{len(cells)} x {command.episodes} episodes", total=None)
         answer = evaluate_policy(
-            policy, cells, command.episodes, command.seed, threads, lambda i, n: bar.update(steps, completed=i, total=n)
+            policy,
+            cells,
+            command.episodes,
+            command.seed,
+            threads,
+            lambda i, n: bar.update(steps, completed=i, total=n),
+            Setting(command.layout or "training"),
         )
     _print_results(answer.results)
-    for family in families:
+    for family, _ in chosen:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
         write_json(command.json, _arrival_content(command, policy, answer))
@@ -67,30 +93,101 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
 
 
 def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
-    if command.level is not None:
-        raise ArriveError("--level goes with --protocol arrival; choose how many levels with --levels")
-    difficulty.check_arguments(command.episodes, command.levels)
-    families = parse_families(command.terrain or ",".join(policy.config.terrain.families))
-    folder = policy.path.parent
+    if command.layout == "training":
+        raise ArriveError("--protocol difficulty is measured on the evaluation layout; leave --layout out")
+    difficulty.check_levels(command.levels)
+    chosen, folder = _chosen(command, policy), policy.path.parent
+    one = {family.name: cell for family, cell in chosen if cell}
+    if one and command.levels is not None:
+        raise ArriveError("--levels spreads levels over a terrain's range; leave it out to measure one level or value")
+    # One value is no answer to how hard a terrain is still solved: it is not kept as that.
+    out = command.json or (None if one else folder / DIFFICULTY_NAME)
+    if out is not None:
+        rows = sum(
+            1 if family.name in one else len(difficulty.cells_of(family, command.levels)) for family, _ in chosen
+        )
+        keep_longer(out, rows * command.episodes, command.force)
     with Progress() as bar:
         steps = bar.add_task(f"{folder.name}: {command.episodes} episodes per level", total=None)
         answer = difficulty.measure(
             policy,
-            families,
+            [family for family, _ in chosen],
             command.episodes,
             command.seed,
             command.levels,
             threads,
             lambda i, n: bar.update(steps, completed=i, total=n),
+            one,
         )
     _print_results([result for results in answer.results.values() for result in results])
     for results in answer.results.values():
         print(why_stuck(results))
-    write_json(command.json or folder / DIFFICULTY_NAME, answer.content)
-    pictures = command.pictures or folder / DIFFICULTY_PICTURES
-    _write_pictures(pictures, answer.episodes, len(families), names=list(answer.results))
-    if command.json is None and (folder / CONFIG_NAME).is_file():
+    if out is not None:
+        write_json(out, answer.content)
+    pictures = command.pictures or folder / ("pictures" if one else DIFFICULTY_PICTURES)
+    _write_pictures(pictures, answer.episodes, len(chosen), names=list(answer.results))
+    if command.json is None and not one:
+        _write_card(folder)
+
+
+def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
+    given = {
+        field: parse_numbers(f"--{name.replace('_', '-')}", text)
+        for name, field in ERRANDS.items()
+        if (text := getattr(command, name)) is not None
+    }
+    errands = Errands(**given, layout=command.layout or "evaluation")
+    errands.check()
+    check_policy(policy)
+    folder, levels = policy.path.parent, policy.config.terrain.levels
+    grounds = [
+        Ground(family, cell.value if cell else hardest_solved(folder, family, levels))
+        for family, cell in _chosen(command, policy)
+    ]
+    out = command.json or folder / REACH_NAME
+    keep_longer(out, effort(errands, command.episodes, len(grounds)), command.force)
+    with Progress() as bar:
+        steps = bar.add_task(f"{folder.name}: {command.episodes} episodes per row", total=None)
+        content = measure_reach(
+            policy,
+            grounds,
+            errands,
+            command.episodes,
+            command.seed,
+            threads,
+            lambda i, n: bar.update(steps, completed=i, total=n),
+        )
+    for name, entry in content["families"].items():
+        _print_reach(name, entry)
+    write_json(out, content)
+    if command.json is None:
+        _write_card(folder)
+
+
+def _write_card(folder: Path) -> None:
+    if (folder / CONFIG_NAME).is_file():
         print(f"card: {write_card(read_run(folder), folder)}")
+
+
+def parse_numbers(option: str, text: str) -> tuple[float, ...]:
+    """Numbers joined by commas.
+
+    Raises:
+        ArriveError: something else.
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ArriveError(f"{option} must be numbers joined by commas, such as 1,2.5, not {text!r}") from error
+
+
+def _print_reach(name: str, entry: dict[str, Any]) -> None:
+    for head, rows in (distance_table(entry), direction_table(entry)):
+        table = Table(*head, title=ground_words(name, entry), title_justify="left")
+        for row in rows:
+            table.add_row(*row)
+        Console().print(table)
+    print(f"{name}: {waiting_words(entry['waiting'])}")
 
 
 def _print_results(results: list[CellResult]) -> None:
@@ -100,7 +197,7 @@ def _print_results(results: list[CellResult]) -> None:
         unit = result.cell.family.unit
         table.add_row(
             result.cell.family.name,
-            str(result.cell.level),
+            "" if result.cell.level is None else str(result.cell.level),
             f"{result.cell.value:.3g} {unit}".strip() if unit else "",
             str(result.episodes),
             f"{result.success:.1%}",

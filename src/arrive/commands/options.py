@@ -51,16 +51,32 @@ class Eval:
     """Run folder, policy file or name of a trained policy, see `arrive list`."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, measured one after the other."""
-    protocol: Literal["arrival", "difficulty"] = "arrival"
-    """`arrival`: as in training; `difficulty`: the paper's measurement of the hardest terrain solved."""
+    protocol: Literal["arrival", "difficulty", "reach"] | None = None
+    """`arrival`: as in training, the default; `difficulty`: the paper's measurement of the hardest terrain solved;
+    `reach`: by distance and direction of the target and by the time given, and whether robots then wait there, the
+    default where one of these is given."""
     terrain: str | None = None
-    """Terrain family, several joined by commas, or `all`; those it was trained on by default."""
+    """Terrain family, several joined by commas, or `all`, each also as NAME=VALUE with the value of its parameter, e.g.
+    gap=0.4,pit=0.3 [m] or slope=20 [deg]; those it was trained on by default, all levels of them, or for `reach` the
+    hardest value that they were measured to solve."""
     level: int | None = None
-    """One level of training, for `arrival`; all by default."""
+    """One of the policy's own levels."""
+    value: float | None = None
+    """Value of the only terrain's parameter, in its unit."""
     levels: int | None = None
     """Number of evenly spaced levels, for `difficulty`; a table per terrain by default."""
+    target_distance: str | None = None
+    """Distances of targets, joined by commas, for `reach`; 0.5,1,2,3,4,5,6 by default [m]."""
+    direction: str | None = None
+    """Directions of targets relative to the heading at the start, counterclockwise, joined by commas, for `reach`;
+    eight by default [deg]."""
+    time: str | None = None
+    """Times given, joined by commas, for `reach`; 3,5,8,10 by default [s]."""
+    layout: Literal["training", "evaluation"] | None = None
+    """`training`: terrain all around the robot, the default for `arrival`; `evaluation`: 4 m of it ahead, the default
+    for `reach` and always so for `difficulty`."""
     episodes: int = 500
-    """Episodes per terrain and level."""
+    """Episodes per row of a table."""
     seed: int = 1
     """Seed of terrain and episodes, apart from those of training."""
     threads: int = 0
@@ -68,9 +84,12 @@ class Eval:
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to simulate; `auto` takes an NVIDIA GPU where one can be used."""
     json: Path | None = None
-    """File for the result as JSON; `difficulty` writes difficulty.json beside each policy by default."""
+    """File for the result as JSON; `difficulty` over all levels writes difficulty.json, `reach` reach.json beside each
+    policy by default."""
     pictures: Path | None = None
     """Folder for picture strips and, for `arrival`, a film; beside the policy by default."""
+    force: bool = False
+    """Replace the result of a longer measurement."""
 
 
 @dataclass(frozen=True)

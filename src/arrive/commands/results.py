@@ -30,8 +30,8 @@ def keep_longer(path: Path, effort: float, force: bool) -> None:
 def effort_of(content: dict[str, Any]) -> float:
     """Episodes behind a result of `eval`, robot metres or seconds behind one of `energy` or `gait`; 0 of others."""
     try:
-        if "families" in content:
-            return sum(level["episodes"] for family in content["families"].values() for level in family["levels"])
-        return float(content["protocol"]["effort"])
+        if "effort" in content["protocol"]:
+            return float(content["protocol"]["effort"])
+        return sum(level["episodes"] for family in content["families"].values() for level in family["levels"])
     except (KeyError, TypeError, ValueError, AttributeError):
         return 0.0

@@ -18,7 +18,8 @@ from arrive.evaluation.playing import Pilot, Played, Progress, episode, play
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.task.task import Trial
-from arrive.terrain import Family, Layout
+from arrive.terrain import Family, Layout, parse_families
+from arrive.terrain.ground import ground_of
 from arrive.terrain.levels import EVALUATION_SEED_OFFSET, level_values
 
 MAX_ENVS = 2000
@@ -27,12 +28,15 @@ MAX_ENVS = 2000
 
 @dataclass(frozen=True)
 class Cell:
-    """One family at one level."""
+    """One family at one value of its parameter."""
 
     family: Family
-    level: int
+    level: int | None
+    """Of the policy's own levels, or of a measurement's; None where the value itself was chosen."""
     value: float
     """The terrain's parameter."""
+    target: tuple[float, float] | None = None
+    """Where a trial sends these robots, in the tile's frame; None for where it sends all [m]."""
 
     @property
     def caption(self) -> str:
@@ -89,7 +93,9 @@ class Setting:
     """One errand for every robot; None for the task's own commands."""
     randomise: Callable[[RandomisationConfig], RandomisationConfig] = lambda config: config
     variants: int | None = None
-    """Worlds per cell; None for as many as in training."""
+    """Worlds per value of a family's parameter; None for as many as in training."""
+    record: bool = True
+    """Whether an episode per cell is recorded for pictures."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,7 @@ class Arrival:
     """One recorded episode per cell, for pictures."""
 
 
-def cells_of(config: Config, families: Sequence[Family], level: int | None) -> list[Cell]:
+def cells_of(config: Config, families: Sequence[Family], level: int | None = None) -> list[Cell]:
     """The families' cells at one level, or at all for None.
 
     Raises:
@@ -117,6 +123,35 @@ def cells_of(config: Config, families: Sequence[Family], level: int | None) -> l
         chosen = range(len(values)) if level is None else [_checked(level, family, config.terrain.levels, len(values))]
         cells += [Cell(family, i, values[i]) for i in chosen]
     return cells
+
+
+def choose_cells(
+    config: Config, terrain: str | None, level: int | None = None, value: float | None = None
+) -> list[tuple[Family, Cell | None]]:
+    """The families that a person names on the command line, each with the one cell that was chosen, if any.
+
+    Args:
+        terrain: families joined by commas, each as NAME or NAME=VALUE, or `all`; None for those of the training.
+        level: one of the policy's own levels, of every family without a value.
+        value: of the only family's parameter.
+
+    Raises:
+        ArriveError: no such family or level, a value out of range, or several of these at once.
+    """
+    listed = ",".join(config.terrain.families) if terrain is None else terrain
+    if value is not None:
+        if "," in listed or "=" in listed or listed.strip() == "all":
+            raise ArriveError(f"--value is of one terrain; write --terrain NAME=VALUE for each, not {listed} --value")
+        listed = f"{listed}={value:g}"
+    families = parse_families(",".join(item.partition("=")[0] for item in listed.split(",")))
+    items = [family.name for family in families] if listed.strip() == "all" else listed.split(",")
+    chosen: list[tuple[Family, Cell | None]] = []
+    for family, item in zip(families, items, strict=True):
+        if "=" in item:
+            chosen.append((family, Cell(family, None, ground_of(item, level).value)))
+        else:
+            chosen.append((family, None if level is None else cells_of(config, [family], level)[0]))
+    return chosen
 
 
 def _checked(level: int, family: Family, num_levels: int, available: int) -> int:
@@ -158,7 +193,7 @@ def evaluate(
     for index, part in enumerate(parts):
         env = _environment(policy, cells, part, _part_seed(seed, index), threads, setting)
         policy.check(env)
-        watched = _one_per_cell(part, pictures)
+        watched = _one_per_cell(part, pictures) if setting.record else torch.tensor([], dtype=torch.long)
         acting = policy if pilot is None else pilot(env)
         played.append(play(env, acting, watched, lambda i, n, index=index: progress(index * n + i, len(parts) * n)))
         for column, env_id in enumerate(watched.tolist()):
@@ -179,7 +214,9 @@ def _environment(
     config = policy.config
     present = sorted(set(part.tolist()))
     families = list(dict.fromkeys(cells[i].family.name for i in present))
-    values = {name: [cells[i].value for i in present if cells[i].family.name == name] for name in families}
+    values = {
+        name: list(dict.fromkeys(cells[i].value for i in present if cells[i].family.name == name)) for name in families
+    }
     family = torch.tensor([families.index(cells[i].family.name) for i in part.tolist()])
     level = torch.tensor([values[cells[i].family.name].index(cells[i].value) for i in part.tolist()])
     config = replace(
@@ -193,12 +230,19 @@ def _environment(
     )
     placement = Placement(
         layout=setting.layout,
-        trial=setting.trial,
+        trial=_trial(setting.trial, [cells[i] for i in part.tolist()]),
         values=tuple(tuple(values[name]) for name in families),
         seed_offset=EVALUATION_SEED_OFFSET,
         assignment=(family.to(policy.device), level.to(policy.device)),
     )
     return build_env(config, placement, threads)
+
+
+def _trial(trial: Trial | None, cells: Sequence[Cell]) -> Trial | None:
+    """The trial with a target for each robot, where its cell has one."""
+    if trial is None or all(cell.target is None for cell in cells):
+        return trial
+    return replace(trial, target=torch.tensor([cell.target or trial.target for cell in cells]))
 
 
 def _one_per_cell(part: Tensor, known: dict[int, Episode]) -> Tensor:

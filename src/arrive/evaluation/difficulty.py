@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from arrive.config import RandomisationConfig, to_dict
@@ -10,6 +11,7 @@ from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, evalua
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.playing import Progress
 from arrive.evaluation.usage import usage_of
+from arrive.files import read_json
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.task.task import Trial
@@ -96,6 +98,7 @@ def measure(
     levels: int | None = None,
     threads: int = 0,
     progress: Progress = lambda done, total: None,
+    chosen: dict[str, Cell] | None = None,
 ) -> Measurement:
     """Measure success against difficulty on the evaluation layouts, on terrain seeds apart from training's.
 
@@ -103,7 +106,9 @@ def measure(
         episodes: per level.
         levels: evenly spaced levels per family; None for the table `LEVELS`.
         progress: told policy steps done so far and their number.
+        chosen: the only value that is measured of some families, by name.
     """
+    chosen = chosen or {}
     setting = Setting("evaluation", TRIAL, randomised, VARIANTS)
     answers: dict[str, Arrival] = {}
     for index, family in enumerate(families):
@@ -111,7 +116,7 @@ def measure(
         def advanced(done: int, total: int, index: int = index) -> None:
             progress(index * total + done, len(families) * total)
 
-        cells = cells_of(family, levels)
+        cells = [chosen[family.name]] if family.name in chosen else cells_of(family, levels)
         answers[family.name] = evaluate(policy, cells, episodes, seed, threads, advanced, setting)
     usage = {name: usage_of(answer, policy.config.physics.control_dt) for name, answer in answers.items()}
     results = {name: answer.results for name, answer in answers.items()}
@@ -197,13 +202,26 @@ def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | Non
     }
 
 
-def check_arguments(episodes: int, levels: int | None) -> None:
+def read_measured(path: Path) -> dict[str, Any] | None:
+    """A result by terrain family beside a policy, or None where there is none.
+
+    Raises:
+        ArriveError: it cannot be read, or is none.
+    """
+    if not path.is_file():
+        return None
+    content = read_json(path)
+    families = content.get("families")
+    if not isinstance(families, dict) or not all(isinstance(entry, dict) for entry in families.values()):
+        raise ArriveError(f"cannot read {path}: it has no families. Measure the policy again.")
+    return content
+
+
+def check_levels(levels: int | None) -> None:
     """Refuse what would measure nothing.
 
     Raises:
-        ArriveError: no episodes or no levels.
+        ArriveError: fewer than one level.
     """
-    if episodes < 1:
-        raise ArriveError(f"--episodes must be at least 1, not {episodes}")
     if levels is not None and levels < 1:
         raise ArriveError(f"--levels must be at least 1, not {levels}")

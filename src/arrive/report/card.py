@@ -8,6 +8,7 @@ from arrive.evaluation.arrival import CellResult
 from arrive.evaluation.difficulty import SHARES
 from arrive.evaluation.motion import UNITS
 from arrive.learning.curves import CURVES_NAME
+from arrive.report.reach import direction_table, distance_table, ground_words, protocol_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, Run
 
 CARD_NAME = "card.md"
@@ -19,7 +20,7 @@ def write_card(run: Run, folder: Path) -> Path:
     Raises:
         ArriveError: it was not measured, or the file cannot be written.
     """
-    if run.difficulty is None:
+    if run.difficulty is None and run.reach is None:
         raise ArriveError(f"{run.name} was not measured: run `arrive eval --protocol difficulty {folder}` first")
     path = folder / CARD_NAME
     try:
@@ -31,9 +32,8 @@ def write_card(run: Run, folder: Path) -> Path:
 
 def card_text(run: Run, with_curves: bool) -> str:
     """The card of a measured run; paths in it are relative to the run's folder."""
-    config, protocol = run.record["config"], run.difficulty["protocol"]
+    config = run.record["config"]
     minutes = run.log["progress/elapsed_s"][-1] / 60.0 if run.log.get("progress/elapsed_s") else float("nan")
-    figures = "; ".join(f"`{name}` is the {text}" for name, text in UNITS.items())
     parts = [
         f"# {run.name}",
         f"{config['robot']}, task `{config['task']['name']}`, preset `{config['preset']}`, networks "
@@ -41,18 +41,42 @@ def card_text(run: Run, with_curves: bool) -> str:
         f"{run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, commit "
         f"{run.record['commit'][:10]}:",
         f"```sh\n{run.record['command']}\n```",
+        *(_difficulty(run) if run.difficulty else ()),
+        *(_reach(run) if run.reach else ()),
+        *(_motion(run) if run.difficulty else ()),
+    ]
+    if with_curves:
+        parts += ["## How it was learnt", f"![curves]({CURVES_NAME})"]
+    return "\n\n".join(parts) + "\n"
+
+
+def _difficulty(run: Run) -> list[str]:
+    protocol = run.difficulty["protocol"]
+    return [
         "## What it solves",
         f"`arrive eval --protocol difficulty`: {protocol['episodes']} episodes per level, seed {protocol['seed']}; "
         f"success is {protocol['success'].partition(';')[0]}. Commit {run.difficulty['commit'][:10]}.",
         _solved(run),
         *(_family(run, name, results) for name, results in run.results().items()),
-        "## How it moves",
-        f"Successful episodes, from start to end: {figures}.",
-        _motion(run),
     ]
-    if with_curves:
-        parts += ["## How it was learnt", f"![curves]({CURVES_NAME})"]
-    return "\n\n".join(parts) + "\n"
+
+
+def _reach(run: Run) -> list[str]:
+    """Where and by when it arrives."""
+    protocol = run.reach["protocol"]
+    parts = [
+        "## Where and by when it arrives",
+        f"`arrive eval --protocol reach`: {protocol['episodes']} episodes per row, seed {protocol['seed']}, "
+        f"{protocol['layout']} layout; success is {protocol['success']}, with 95 % intervals. Distances are "
+        f"{protocol['by_distance']}; directions: {protocol['by_direction']}. Commit {run.reach['commit'][:10]}.",
+    ]
+    for name, entry in run.reach["families"].items():
+        parts.append(f"### {ground_words(name, entry)}")
+        if compared := protocol_words(run.difficulty, name, entry):
+            parts.append(compared)
+        parts += [_table(*distance_table(entry)), _table(*direction_table(entry))]
+        parts.append(f"Waiting: {waiting_words(entry['waiting'])}.")
+    return parts
 
 
 def _solved(run: Run) -> str:
@@ -77,7 +101,12 @@ def _family(run: Run, name: str, results: Sequence[CellResult]) -> str:
     return text + (f"\n\n![{name}]({DIFFICULTY_PICTURES}/{name}.png)" if name in run.pictures else "")
 
 
-def _motion(run: Run) -> str:
+def _motion(run: Run) -> list[str]:
+    figures = "; ".join(f"`{name}` is the {text}" for name, text in UNITS.items())
+    return ["## How it moves", f"Successful episodes, from start to end: {figures}.", _motion_table(run)]
+
+
+def _motion_table(run: Run) -> str:
     rows = []
     for name, levels in run.difficulty["policy"]["usage"].items():
         for level in levels:

@@ -1,12 +1,12 @@
 """What a run's folder holds for a report: how it was trained, how it was measured, its pictures."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult
+from arrive.evaluation.difficulty import read_measured
+from arrive.evaluation.reach import REACH_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import DIFFICULTY_NAME, read_config, samples_before
 from arrive.terrain import get_family
@@ -30,6 +30,8 @@ class Run:
     """difficulty.json, or None where the run was not measured."""
     pictures: dict[str, Path]
     """Strips by family."""
+    reach: dict[str, Any] | None = None
+    """reach.json, or None where the run was not measured so."""
 
     @property
     def task(self) -> str:
@@ -110,17 +112,15 @@ def read_run(folder: Path) -> Run:
         ArriveError: no run, or a file in it that cannot be read.
     """
     _, record = read_config(folder)
-    measured = folder / DIFFICULTY_NAME
-    try:
-        difficulty = json.loads(measured.read_text()) if measured.is_file() else None
-        families = list(difficulty["families"]) if difficulty else []
-    except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
-        raise ArriveError(f"cannot read {measured}: {error!r}. Measure the run again.") from error
-    strips = {name: folder / DIFFICULTY_PICTURES / f"{name}.png" for name in families}
+    difficulty, reach = (read_measured(folder / name) for name in (DIFFICULTY_NAME, REACH_NAME))
+    strips = {
+        name: folder / DIFFICULTY_PICTURES / f"{name}.png" for name in (difficulty["families"] if difficulty else ())
+    }
     return Run(
         name=folder.resolve().name,
         record=record,
         log=read_log(folder) if (folder / LOG_NAME).is_file() else {},
         difficulty=difficulty,
         pictures={name: path for name, path in strips.items() if path.is_file()},
+        reach=reach,
     )

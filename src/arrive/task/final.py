@@ -12,7 +12,7 @@ from arrive.task.heights import look_up
 from arrive.task.observations import ObservationConfig, ObservationTerm, observation_terms
 from arrive.task.rewards import STALL_SPEED, PositionRewards, distance_to_target, task_share
 from arrive.task.state import Command, State
-from arrive.task.targets import REACH, sample_targets
+from arrive.task.targets import REACH, next_valid, sample_targets
 from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
 
 OBSTACLE_HEIGHT = 0.6
@@ -99,6 +99,7 @@ class FinalPositionTask:
             counts=torch.zeros(num_envs, dtype=torch.bool, device=device),
         )
         self._tile_ids = torch.zeros(num_envs, dtype=torch.long, device=device)
+        self._waited_s = torch.zeros(num_envs, device=device)
 
     @staticmethod
     def from_preset(config: TaskConfig) -> TaskConfig:
@@ -106,7 +107,9 @@ class FinalPositionTask:
 
     @property
     def episode_s(self) -> float:
-        return self._config.episode_s if self._trial is None else self._trial.duration_s
+        if self._trial is None:
+            return self._config.episode_s
+        return self._trial.duration_s + (self._trial.wait_s if isinstance(self._trial, Trial) else 0.0)
 
     @property
     def command(self) -> Command:
@@ -136,6 +139,7 @@ class FinalPositionTask:
             command.counts[ids] = False
         elif self._trial is not None:
             command.time_left_s[ids] = self._trial.duration_s
+            self._waited_s[ids] = 0.0
             command.counts[ids] = crossing
         elif first:
             # Robots that all began together would end together; a shortened episode proves nothing.
@@ -153,7 +157,10 @@ class FinalPositionTask:
         if isinstance(self._trial, Cruise):
             point = start.base_pos_w[:, :2] + self._trial.offset_w[start.env_ids]
         else:
-            point = torch.tensor(self._trial.target, device=start.base_pos_w.device).expand(len(start.env_ids), 2)
+            point = self._trial.target
+            if not isinstance(point, Tensor):
+                point = torch.tensor(point).expand(len(self._tile_ids), 2)
+            point = next_valid(self._rasters, start.tile_ids, point.to(start.base_pos_w.device)[start.env_ids])
         ground = look_up(self._rasters.heights, start.tile_ids, point.unsqueeze(1))
         return torch.cat([point, ground + self._config.target_height], dim=-1)
 
@@ -189,8 +196,14 @@ class FinalPositionTask:
     def advance(self, dt: float) -> Tensor:
         if isinstance(self._trial, Cruise):
             return torch.zeros_like(self._command.counts)
-        self._command.time_left_s -= dt
-        return self._command.time_left_s < dt / 2
+        left_s = self._command.time_left_s
+        left_s -= dt
+        over = left_s < dt / 2
+        if isinstance(self._trial, Trial) and self._trial.wait_s > 0.0:
+            self._waited_s = torch.where(over | (self._waited_s > 0.0), self._waited_s + dt, 0.0)
+            left_s[self._waited_s > 0.0] = self._trial.hold_s
+            return self._waited_s > self._trial.wait_s + dt / 2
+        return over
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
         """Success is being within the arrival radius without a crash; a level counts only when it was crossed."""

@@ -9,7 +9,7 @@ from torch import Tensor
 from arrive.errors import ArriveError
 from arrive.task.heights import look_up
 from arrive.terrain.rasters import Rasters
-from arrive.terrain.tile import RASTER_HALF
+from arrive.terrain.tile import RASTER_CELL, RASTER_HALF
 
 MAX_TRIES = 32
 """Candidates drawn per target. At least a quarter of them are valid on any tile that `build_tile` lets pass, so that
@@ -84,3 +84,20 @@ def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spre
     if not valid.any(-1).all():
         raise ArriveError("a terrain tile offers no valid target within the target distance")
     return candidates[torch.arange(len(tile_ids), device=device), valid.to(torch.uint8).argmax(-1)]
+
+
+def next_valid(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
+    """(n, 2) the points themselves where a target may stand there, or else the next place on their ray from the origin.
+
+    Places behind a point come first, nearest first, then those before it.
+
+    Args:
+        tile_ids: (n,) rasters of the robots' tiles.
+        points: (n, 2) in the tile's frame [m].
+    """
+    radius = points.norm(dim=-1, keepdim=True)
+    steps = torch.arange(0.0, 2.0 * RASTER_HALF, RASTER_CELL, device=points.device)
+    radii = torch.cat([radius + steps, (radius - steps).clamp(min=0.0)], dim=-1)
+    candidates = points[:, None] * (radii / radius.clamp(min=1e-6))[..., None]
+    chosen = _on_valid_ground(rasters, tile_ids, candidates).to(torch.uint8).argmax(-1)
+    return candidates[torch.arange(len(points), device=points.device), chosen]

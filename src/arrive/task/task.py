@@ -61,12 +61,17 @@ class Trial:
 
     duration_s: float
     """Length of every episode [s]."""
-    target: tuple[float, float]
-    """Where robots that are sent to places must be at the end, in the tile's frame [m]."""
+    target: tuple[float, float] | Tensor
+    """Where robots that are sent to places must be at the end, in the tile's frame; (num_envs, 2) for a place each.
+    Where no target may stand it is the next place straight behind it, seen from the start [m]."""
     speed: float
     """Forward speed at which robots that follow a velocity are sent along the tile's x axis [m/s]."""
     walk: float
     """How far along the x axis these must get [m]."""
+    wait_s: float = 0.0
+    """How long robots that are sent to places must then stay there; it makes the episode longer [s]."""
+    hold_s: float = 0.0
+    """Remaining time that they are told meanwhile, which does not run [s]."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,306 @@
+"""Where and by when a policy arrives: success by the target's distance and direction and by the time given, and whether
+the robot then waits there."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from arrive.config import Config, to_dict
+from arrive.errors import ArriveError
+from arrive.evaluation.arrival import Arrival, Cell, Setting, evaluate
+from arrive.evaluation.difficulty import TRIAL, VARIANTS, describe, randomised, read_measured
+from arrive.evaluation.playing import Progress
+from arrive.evaluation.wilson import wilson_interval
+from arrive.learning.policy import Policy
+from arrive.learning.rundir import DIFFICULTY_NAME, commit
+from arrive.task.final import FinalPositionTask, PositionConfig
+from arrive.task.registry import get_task
+from arrive.terrain import Layout
+from arrive.terrain.family import Family
+from arrive.terrain.ground import Ground
+
+NAME = "reach"
+REACH_NAME = "reach.json"
+"""File of a measurement beside the policy."""
+DISTANCES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+"""Of targets from the start [m]."""
+DIRECTIONS = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
+"""Of targets, relative to the heading at the start, counterclockwise [deg]."""
+TIMES = (3.0, 5.0, 8.0, 10.0)
+"""Given to get there [s]."""
+FARTHEST = 6.4
+"""Nothing is known of the ground beyond [m]."""
+WAIT_S = 30.0
+"""How long robots wait at their target [s]."""
+MOVED_M = 0.05
+"""A target that stands this far from where it was asked for was moved [m]."""
+
+
+@dataclass(frozen=True)
+class Errands:
+    """Where robots are sent, and by when."""
+
+    distances: tuple[float, ...] = DISTANCES
+    directions: tuple[float, ...] = DIRECTIONS
+    times: tuple[float, ...] = TIMES
+    layout: Layout = "evaluation"
+
+    def check(self) -> None:
+        """Refuse errands that cannot be run.
+
+        Raises:
+            ArriveError: no distances, directions or times, or one out of range.
+        """
+        _check("--target-distance", self.distances, 0.1, FARTHEST, "m")
+        _check("--direction", self.directions, -360.0, 360.0, "deg")
+        _check("--time", self.times, 0.1, 60.0, "s")
+
+    @property
+    def ahead(self) -> float:
+        """The direction of the tables by distance and time: straight ahead, or the first that was asked for [deg]."""
+        return 0.0 if 0.0 in self.directions else self.directions[0]
+
+    @property
+    def time_s(self) -> float:
+        """The time of the table by direction and of waiting: the one nearest to the protocol's [s]."""
+        return min(self.times, key=lambda time: abs(time - TRIAL.duration_s))
+
+    def journeys(self, episodes: int) -> list["Journeys"]:
+        """What is run on each terrain: one for each time, then all directions, then the wait.
+
+        Args:
+            episodes: behind every row of a table, at least.
+        """
+        ahead = [(distance, self.ahead) for distance in self.distances]
+        around = [(distance, direction) for direction in self.directions for distance in self.distances]
+        shared = math.ceil(episodes / len(self.distances))
+        return [
+            *(Journeys(ahead, time_s, episodes) for time_s in self.times),
+            Journeys(around, self.time_s, shared),
+            Journeys(ahead, self.time_s, shared, WAIT_S),
+        ]
+
+
+@dataclass(frozen=True)
+class Journeys:
+    """Robots that have the same time to get to several places."""
+
+    places: list[tuple[float, float]]
+    """Distance [m] and direction [deg] of each."""
+    time_s: float
+    episodes: int
+    """To each place."""
+    wait_s: float = 0.0
+    """How long robots then stay there."""
+
+
+def _check(option: str, values: Sequence[float], least: float, most: float, unit: str) -> None:
+    if not values or not all(least <= value <= most for value in values):
+        given = ",".join(f"{value:g}" for value in values) or "nothing"
+        raise ArriveError(f"{option} must be numbers from {least:g} to {most:g} {unit}, joined by commas, not {given}")
+    if len(set(values)) < len(values):
+        raise ArriveError(f"{option} names a value twice: {','.join(f'{value:g}' for value in values)}")
+
+
+def check_policy(policy: Policy) -> None:
+    """Refuse policies that cannot be sent to a place.
+
+    Raises:
+        ArriveError: its task has no targets.
+    """
+    if not issubclass(get_task(policy.config.task.name), FinalPositionTask):
+        raise ArriveError(
+            f"{policy.path}: the task {policy.config.task.name!r} has no targets, so it has no distance, direction and "
+            "time of them; measure it with --protocol difficulty"
+        )
+
+
+def hardest_solved(folder: Path, family: Family, levels: int) -> float:
+    """The hardest value that a run was measured to solve in 95 % of the episodes, or that of a middle level.
+
+    Args:
+        folder: of the run.
+        levels: number of the policy's own levels.
+    """
+    measured = read_measured(folder / DIFFICULTY_NAME) or {"families": {}}
+    solved = measured["families"].get(family.name, {}).get("max_at_95")
+    return family.value(levels // 2, levels) if solved is None else min(max(solved, family.lowest), family.highest)
+
+
+def measure(
+    policy: Policy,
+    grounds: Sequence[Ground],
+    errands: Errands,
+    episodes: int,
+    seed: int,
+    threads: int = 0,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Any]:
+    """Send robots to every distance by every time, to every direction, and let them wait.
+
+    Robots start as in the protocol of maximum difficulty: facing along the tile's x axis, without pushes. A target that
+    would stand in a hole stands at the next place straight behind it.
+
+    Args:
+        grounds: of different families; their layout is not looked at.
+        episodes: behind every row of a table.
+        progress: told policy steps done so far and their number.
+
+    Returns:
+        The result as JSON data; nothing in it changes when the measurement is repeated.
+
+    Raises:
+        ArriveError: nothing to measure, or a policy whose task has no targets.
+    """
+    errands.check()
+    check_policy(policy)
+    journeys, control_dt = errands.journeys(episodes), policy.config.physics.control_dt
+    steps = [round((journey.time_s + journey.wait_s) / control_dt) for journey in journeys]
+    total, before = sum(steps) * len(grounds), 0
+    families = {}
+    for ground in grounds:
+        answers = []
+        for journey, own in zip(journeys, steps, strict=True):
+
+            def advanced(done: int, of: int, before: int = before, own: int = own) -> None:
+                progress(before + own * done // of, total)
+
+            answers.append(_run(policy, ground, errands.layout, journey, seed, threads, advanced))
+            before += own
+        families[ground.family.name] = _tables(errands, ground, answers, policy.config)
+    protocol = _protocol(policy, errands, episodes, seed)
+    return {
+        "families": families,
+        "policy": describe(policy),
+        "protocol": protocol | {"effort": effort(errands, episodes, len(grounds))},
+        "commit": commit(),
+    }
+
+
+def effort(errands: Errands, episodes: int, grounds: int) -> int:
+    """Number of episodes of a whole measurement."""
+    return grounds * sum(len(journey.places) * journey.episodes for journey in errands.journeys(episodes))
+
+
+def _run(
+    policy: Policy, ground: Ground, layout: Layout, journey: Journeys, seed: int, threads: int, progress: Progress
+) -> Arrival:
+    trial = replace(TRIAL, duration_s=journey.time_s, wait_s=journey.wait_s, hold_s=hold_time(policy.config.task))
+    cells = [Cell(ground.family, None, ground.value, _in_tile(*place)) for place in journey.places]
+    setting = Setting(layout, trial, randomised, VARIANTS, record=False)
+    return evaluate(policy, cells, journey.episodes, seed, threads, progress, setting)
+
+
+def _in_tile(distance: float, direction_deg: float) -> tuple[float, float]:
+    angle = math.radians(direction_deg)
+    return distance * math.cos(angle), distance * math.sin(angle)
+
+
+def _tables(errands: Errands, ground: Ground, answers: Sequence[Arrival], config: Config) -> dict[str, Any]:
+    """The tables of one terrain.
+
+    Args:
+        answers: of `Errands.journeys`, in their order.
+    """
+    *by_time, around, waited = answers
+    count, family = len(errands.distances), ground.family
+    return {
+        "parameter": family.parameter,
+        "unit": family.unit,
+        "value": ground.value,
+        "distances": [
+            _row(answer, [i], distance, errands.ahead, time_s)
+            for time_s, answer in zip(errands.times, by_time, strict=True)
+            for i, distance in enumerate(errands.distances)
+        ],
+        "directions": [
+            _row(around, range(i * count, (i + 1) * count), None, direction, errands.time_s)
+            for i, direction in enumerate(errands.directions)
+        ],
+        "waiting": _waiting(waited, config.task.arrival_radius, errands.time_s, config.physics.control_dt),
+    }
+
+
+def hold_time(task: PositionConfig) -> float:
+    """Remaining time that a policy at its target is told, as by `arrive.deployment.goals.hold_time` [s].
+
+    Here too, because measuring needs nothing that only a robot's computer has.
+    """
+    return min(task.reward_window_s, 0.5 * task.episode_s)
+
+
+def _row(
+    answer: Arrival, cells: Sequence[int], distance: float | None, direction_deg: float, time_s: float
+) -> dict[str, Any]:
+    """One row of a table, of several cells together.
+
+    Args:
+        distance: None where the cells are of all distances.
+    """
+    results = [answer.results[i] for i in cells]
+    arrived, episodes = (sum(getattr(result, name) for result in results) for name in ("arrived", "episodes"))
+    failures = sum((Counter(result.failures) for result in results), Counter())
+    mine = torch.isin(answer.cell_of_episode, torch.tensor(list(cells)))
+    stood = torch.cat([part.target_w for part in answer.played])[mine, :2].norm(dim=-1).mean()
+    row: dict[str, Any] = {
+        "distance_m": distance,
+        "direction_deg": direction_deg,
+        "time_s": time_s,
+        "episodes": episodes,
+        "success": arrived / episodes,
+        "interval": list(wilson_interval(arrived, episodes)),
+        "failures": dict(sorted(failures.items())),
+    }
+    moved = distance is not None and abs(float(stood) - distance) > MOVED_M
+    return row | ({"stood_at_m": round(float(stood), 3)} if moved else {})
+
+
+def _waiting(answer: Arrival, radius: float, time_s: float, control_dt: float) -> dict[str, Any]:
+    """How many of the robots that had arrived when the time was over still stood there after the wait."""
+    arrived = stayed = 0
+    failures: Counter[str] = Counter()
+    for part in answer.played:
+        at = round(time_s / control_dt)
+        distance = (part.trace_w[at] - part.target_w).norm(dim=-1)
+        there = (distance < radius) & (part.steps > at)
+        arrived += int(there.sum())
+        stayed += int((there & part.success).sum())
+        failures.update(cause for cause, was in zip(part.cause, there.tolist(), strict=True) if was and cause)
+    return {
+        "wait_s": WAIT_S,
+        "time_s": time_s,
+        "arrived": arrived,
+        "stayed": stayed,
+        "share": stayed / arrived if arrived else None,
+        "interval": list(wilson_interval(stayed, arrived)) if arrived else None,
+        "failures": dict(sorted(failures.items())),
+    }
+
+
+def _protocol(policy: Policy, errands: Errands, episodes: int, seed: int) -> dict[str, Any]:
+    task = policy.config.task
+    return {
+        "name": NAME,
+        "episodes": episodes,
+        "seed": seed,
+        "layout": errands.layout,
+        "distances_m": list(errands.distances),
+        "directions_deg": list(errands.directions),
+        "times_s": list(errands.times),
+        "arrival_radius_m": task.arrival_radius,
+        "worlds": VARIANTS,
+        "randomisation": to_dict(randomised(policy.config.randomisation)),
+        "success": "within the arrival radius of the target when the time is over, without a crash",
+        "by_distance": f"in the direction {errands.ahead:g} deg, for each time given",
+        "by_direction": f"all distances in equal parts, {errands.time_s:g} s; relative to the heading at the start",
+        "waiting": (
+            f"{WAIT_S:g} s at the target after the {errands.time_s:g} s, all distances in equal parts; the policy is "
+            f"told {hold_time(task):g} s of remaining time, as a robot's controller tells it"
+        ),
+        "holes": "a target that would stand in a hole stands at the next place straight behind it",
+    }
