@@ -22,6 +22,7 @@ from arrive.learning.policy import load_policy
 from arrive.presets import PAPER_REWARDS, get_preset
 from arrive.report import charts
 from arrive.report.diagnosis import why_stuck
+from arrive.report.figure import svg_text
 from arrive.report.records import Run
 from arrive.report.table import PAPER, make_relations
 from arrive.task.feet import follow_feet
@@ -409,7 +410,7 @@ def test_a_chart_tells_seven_runs_of_one_task_apart():
     """As many as the shipped policies: a generalist and a specialist for each of six terrains."""
     log = {"progress/samples": [1e6, 2e6], "arrival/all": [0.1, 0.2]}
     record = {"config": {"task": {"name": "final"}}}
-    svg = charts.training_chart([Run(str(i), record, log, None, {}) for i in range(7)])
+    svg = svg_text(charts.training_chart([Run(str(i), record, log, None, {}) for i in range(7)]))
     lines = [style for style in re.findall(r'style="([^"]*)"', svg) if "stroke-width: 1.5" in style]
     assert len(set(lines)) >= 7
 

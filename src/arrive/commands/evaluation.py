@@ -24,10 +24,12 @@ from arrive.evaluation.reach import measure as measure_reach
 from arrive.learning.policy import Policy, load_policy
 from arrive.learning.rundir import CONFIG_NAME, DIFFICULTY_NAME
 from arrive.physics.device import choose_device, describe_device
+from arrive.policies import find_run
 from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
 from arrive.report.diagnosis import why_stuck
+from arrive.report.experiments import FILES
 from arrive.report.reach import direction_table, distance_table, ground_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, read_run
 from arrive.report.write import write_report
@@ -241,5 +243,7 @@ def _write_pictures(folder: Path, episodes: list[Episode], films: int, names: li
 
 def report(command: Report) -> None:
     """Write the report page and its JSON file."""
-    for path in write_report((command.run, *command.others), command.out):
+    folders = [find_run(path) for path in (command.run, *command.others)]
+    files = {name: getattr(command, name) for name in FILES}
+    for path in write_report(folders, command.out, files):
         print(f"report: {path}")

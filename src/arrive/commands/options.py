@@ -94,12 +94,24 @@ class Eval:
 
 @dataclass(frozen=True)
 class Report:
-    """Put runs and the difficulty they solve beside the paper's Table I, as one HTML page and a JSON file."""
+    """Put what was measured beside the paper's table and figures, as one HTML page and a JSON file.
+
+    Runs are measured by `arrive eval` with the protocols `difficulty` and `reach`; what is missing on the page says
+    which command makes it.
+    """
 
     run: tyro.conf.Positional[Path]
-    """Run folder, measured with `arrive eval --protocol difficulty`."""
+    """Run folder, or name of a trained policy."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them."""
+    energy: Path | None = None
+    """Result of `arrive energy`; ./energy.json by default, if it is there."""
+    gait: Path | None = None
+    """Result of `arrive gait`; ./gait.json by default, if it is there."""
+    stability: Path | None = None
+    """Result of benchmarks/stability.py; the one under runs/stability/ by default, if it is there."""
+    window: Path | None = None
+    """Result of benchmarks/time_window.py; the one under runs/time_window/ by default, if it is there."""
     out: Path = Path("report.html")
     """File for the page; the JSON file has the same name and ends in .json."""
 

@@ -160,8 +160,8 @@ def max_at(results: Sequence[CellResult], share: float) -> float | None:
     return solved
 
 
-def describe(policy: Policy) -> dict[str, Any]:
-    """Which policy was measured and what it was trained with."""
+def origin_of(policy: Policy) -> dict[str, Any]:
+    """Which policy was measured and where it is from."""
     config = policy.config
     return {
         "name": policy.path.parent.name,
@@ -171,9 +171,13 @@ def describe(policy: Policy) -> dict[str, Any]:
         "seed": config.seed,
         "samples": policy.samples,
         "commit": policy.commit,
-        "episode_s": config.task.episode_s,
-        "config": to_dict(config),
     }
+
+
+def describe(policy: Policy) -> dict[str, Any]:
+    """The same with all that it was trained with."""
+    config = policy.config
+    return origin_of(policy) | {"episode_s": config.task.episode_s, "config": to_dict(config)}
 
 
 def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | None) -> dict[str, Any]:

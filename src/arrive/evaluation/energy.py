@@ -9,6 +9,7 @@ from torch import Tensor
 
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
+from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.playing import Pilot, Progress
@@ -86,14 +87,7 @@ def measure_energy(
     walks = walk(env, policy, meter(env, threads), way_m, progress)
     parts = torch.arange(len(speeds)).repeat_interleave(robots)
     rows = [row(speed, walks, parts == i, way_m) for i, speed in enumerate(speeds)]
-    config = policy.config
-    return {
-        "name": policy.path.parent.name,
-        "task": config.task.name,
-        "preset": config.preset,
-        "terrain": list(config.terrain.families),
-        "samples": policy.samples,
-        "commit": policy.commit,
+    return origin_of(policy) | {
         "speeds": rows,
     }
 

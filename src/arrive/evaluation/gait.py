@@ -11,6 +11,7 @@ import torch
 
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
+from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean
 from arrive.evaluation.footfalls import NAMES, TOGETHER, Footfalls, circular, footfalls, gait_name, hildebrand, steady
 from arrive.evaluation.playing import Pilot, Progress
@@ -74,14 +75,7 @@ def measure_gait(
     for index, heading in enumerate(told):
         mine = slice(index * robots, (index + 1) * robots)
         rows.append(_told(heading) | describe_gait(_part(record, mine), corners, env.control_dt))
-    config = policy.config
-    return {
-        "name": policy.path.parent.name,
-        "task": config.task.name,
-        "preset": config.preset,
-        "terrain": list(config.terrain.families),
-        "samples": policy.samples,
-        "commit": policy.commit,
+    return origin_of(policy) | {
         "feet": foot_labels(env.robot),
         "corners_m": np.round(corners, 3).tolist(),
         "gaits": rows,

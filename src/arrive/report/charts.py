@@ -1,9 +1,14 @@
-"""The report's charts, as SVG text."""
+"""The report's charts of runs: success, use of time, training."""
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
-from arrive.report.figure import color_of, colors_of, finish, legend, panels, svg_text
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from arrive.report.figure import COLUMNS, color_of, colors_of, finish, legend, panels
+from arrive.report.reach import ground_words
 from arrive.report.records import Run
 from arrive.report.table import PAPER
 from arrive.terrain import get_family
@@ -14,10 +19,10 @@ RUNNING_MEAN = 40
 """Strong training curves are means over this share of the run, one part in so many."""
 
 
-def difficulty_chart(runs: Sequence[Run]) -> str:
+def difficulty_chart(runs: Sequence[Run], columns: int = COLUMNS) -> Figure:
     """Success against the terrain's parameter with 95 % intervals, a panel per family that has one."""
     names = [name for name in _measured(runs) if get_family(name).unit]
-    figure, drawn = panels(len(names))
+    figure, drawn = panels(len(names), columns)
     for name, axes in zip(names, drawn, strict=True):
         family = get_family(name)
         for run, color, style in _styled(runs):
@@ -35,12 +40,12 @@ def difficulty_chart(runs: Sequence[Run]) -> str:
         axes.set_ylim(-3, 103)
         finish(axes, f"{name}: {family.description}", f"{family.parameter} [{family.unit}]", "success [%]")
     legend(figure, drawn)
-    return svg_text(figure)
+    return figure
 
 
-def training_chart(runs: Sequence[Run]) -> str:
+def training_chart(runs: Sequence[Run], columns: int = 2) -> Figure:
     """Arrival and mean terrain level over samples."""
-    figure, drawn = panels(2, columns=2)
+    figure, drawn = panels(2, columns)
     for run, color, style in _styled(runs):
         samples = [count / 1e6 for count in run.log.get("progress/samples", [])]
         levels = [
@@ -55,13 +60,13 @@ def training_chart(runs: Sequence[Run]) -> str:
     drawn[0].set_ylim(0, 103)
     drawn[1].set_ylim(bottom=0)
     legend(figure, drawn)
-    return svg_text(figure)
+    return figure
 
 
-def speed_chart(runs: Sequence[Run], level: int = 0) -> str:
+def speed_chart(runs: Sequence[Run], columns: int = COLUMNS, level: int = 0) -> Figure:
     """Mean horizontal speed over time of the successful episodes at each family's easiest level."""
     names = _measured(runs)
-    figure, drawn = panels(len(names))
+    figure, drawn = panels(len(names), columns)
     for name, axes in zip(names, drawn, strict=True):
         family = get_family(name)
         title = name
@@ -76,7 +81,36 @@ def speed_chart(runs: Sequence[Run], level: int = 0) -> str:
         axes.set_xlim(0, 8)
         finish(axes, title, "time [s]", "speed [m/s]")
     legend(figure, drawn)
-    return svg_text(figure)
+    return figure
+
+
+def reach_chart(runs: Sequence[Run], columns: int = COLUMNS) -> Figure:
+    """Success by the target's distance and by its direction with 95 % intervals, two panels per family."""
+    names = list(dict.fromkeys(name for run in runs if run.reach for name in run.reach["families"]))
+    figure, drawn = panels(2 * len(names), columns)
+    for name, by_distance, by_direction in zip(names, drawn[::2], drawn[1::2], strict=True):
+        for run, color, style in _styled(runs):
+            entry = run.reach["families"].get(name) if run.reach else None
+            if entry:
+                told = entry["waiting"]["time_s"]
+                rows = [row for row in entry["distances"] if row["time_s"] == told]
+                where = f"{run.label}, {ground_words(name, entry)}, {told:g} s"
+                _draw_share(by_distance, [row["distance_m"] for row in rows], rows, color, style, where)
+                around = entry["directions"]
+                _draw_share(by_direction, [row["direction_deg"] for row in around], around, color, style)
+        finish(by_distance, f"{name}: straight ahead", "distance of the target [m]", "success [%]")
+        finish(by_direction, f"{name}: all directions", "direction of the target [deg]", "success [%]")
+        by_direction.set_xticks(range(0, 361, 45))
+        for axes in (by_distance, by_direction):
+            axes.set_ylim(-3, 103)
+    legend(figure, drawn)
+    return figure
+
+
+def _draw_share(axes: Axes, x: Sequence[float], rows: Sequence[dict[str, Any]], color: str, style, label=None) -> None:
+    low, high = zip(*(row["interval"] for row in rows), strict=True)
+    axes.plot(x, [100 * row["success"] for row in rows], color=color, ls=style, marker="o", markersize=3.5, label=label)
+    axes.fill_between(x, *_percent(low, high), color=color, alpha=0.15, linewidth=0)
 
 
 def _measured(runs: Sequence[Run]) -> list[str]:

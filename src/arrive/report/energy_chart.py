@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from arrive.report.figure import colors_of, finish, legend, panels
+from arrive.report.figure import COLUMNS, colors_of, finish, legend, panels
 from arrive.report.records import Measured
 
 PANELS = {
@@ -15,14 +15,14 @@ PANELS = {
 }
 
 
-def energy_figure(content: dict[str, Any]) -> Figure:
+def energy_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
     """Squared torques and cost of transport over the speed reached, and how many robots did not get to the end.
 
     Args:
         content: of `energy_content`. Points of one policy are joined in the order of the speeds told; bars are 95 %
             intervals.
     """
-    figure, drawn = panels(3)
+    figure, drawn = panels(3, columns)
     colors = colors_of(Measured.of(content))
     for policy in Measured.of(content):
         color, rows = colors[policy.name], policy.content["speeds"]

@@ -71,8 +71,15 @@ def legend(figure: Figure, drawn: Sequence[Axes]) -> None:
     for axes in drawn:
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     if lines:
+        ncols = max(int(figure.get_figwidth() / PANEL_IN[0] * 4 / COLUMNS), 1)
         figure.legend(
-            lines.values(), lines.keys(), loc="outside upper left", ncols=4, fontsize=9, frameon=False, handlelength=4
+            lines.values(),
+            lines.keys(),
+            loc="outside upper left",
+            ncols=ncols,
+            fontsize=9,
+            frameon=False,
+            handlelength=4,
         )
 
 

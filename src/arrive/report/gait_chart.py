@@ -6,14 +6,14 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from arrive.report.figure import colors_of, finish, legend, panels
+from arrive.report.figure import COLUMNS, colors_of, finish, legend, panels
 from arrive.report.records import Measured
 
 HILDEBRAND = {"pace": 0.0, "lateral walk": 0.25, "trot": 0.5, "diagonal walk": 0.75}
 """Where these gaits lie on the second axis [strides]."""
 
 
-def gait_figure(content: dict[str, Any]) -> Figure:
+def gait_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
     """A footfall diagram per policy, speed and direction, and Hildebrand's plot of all.
 
     Args:
@@ -22,7 +22,7 @@ def gait_figure(content: dict[str, Any]) -> Figure:
     policies = Measured.of(content)
     colors = colors_of(policies)
     walked = [(policy, row) for policy in policies for row in policy.content["gaits"] if row["gait"]]
-    figure, drawn = panels(len(walked) + 1)
+    figure, drawn = panels(len(walked) + 1, columns)
     for (policy, row), axes in zip(walked, drawn, strict=False):
         _draw_footfalls(axes, policy, row, colors[policy.name])
     _draw_hildebrand(drawn[-1], walked, colors)

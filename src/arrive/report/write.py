@@ -1,23 +1,31 @@
 """The report: one self-contained page and a JSON file from the folders of runs."""
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from arrive.errors import ArriveError
+from arrive.files import read_json, write_text
 from arrive.learning.rundir import commit
+from arrive.report.experiments import FILES, Results
 from arrive.report.page import make_page
 from arrive.report.records import Run, read_run
 from arrive.report.table import make_relations, make_table
 
+PROTOCOLS = {"energy": "energy", "gait": "gait", "stability": "stability", "window": "time_window"}
+"""What results call themselves."""
 
-def write_report(folders: Sequence[Path], out: Path) -> tuple[Path, Path]:
+
+def write_report(folders: Sequence[Path], out: Path, files: dict[str, Path | None] | None = None) -> tuple[Path, Path]:
     """Write the page to `out` and its figures beside it as JSON; returns both paths.
 
+    Args:
+        files: results of `FILES`, by name; those that are None are read where their commands put them, if there.
+
     Raises:
-        ArriveError: a folder that holds no run, two runs of one name, or a file that cannot be written.
+        ArriveError: a folder that holds no run, two runs of one name, a result that is none, or a file that cannot be
+            read or written.
     """
     runs = [read_run(folder) for folder in folders]
     names = [run.name for run in runs]
@@ -26,11 +34,33 @@ def write_report(folders: Sequence[Path], out: Path) -> tuple[Path, Path]:
         raise ArriveError(f"two runs are called {', '.join(repeated)}; rename a folder to tell them apart")
     if out.suffix == ".json":
         raise ArriveError(f"--out names the page, not its JSON file: {out}")
-    content = make_content(runs)
+    results = read_results(files or {})
+    content = make_content(runs) | {name: value for name, value in vars(results).items() if value is not None}
     written = (out, out.with_suffix(".json"))
-    _write(written[0], make_page(runs, content))
-    _write(written[1], json.dumps(content, indent=2) + "\n")
+    write_text(written[0], make_page(runs, content, results))
+    write_text(written[1], json.dumps(content, indent=2) + "\n")
     return written
+
+
+def read_results(files: dict[str, Path | None]) -> Results:
+    """What was measured beside the runs.
+
+    Raises:
+        ArriveError: a file that was named is missing, or one holds something else.
+    """
+    return Results(**{name: _read_result(name, files.get(name), default) for name, default in FILES.items()})
+
+
+def _read_result(name: str, path: Path | None, default: Path) -> dict[str, Any] | None:
+    if path is None and not default.is_file():
+        return None
+    path = path or default
+    content = read_json(path)
+    protocol = content.get("protocol")
+    found = protocol.get("name") if isinstance(protocol, dict) else None
+    if found != PROTOCOLS[name]:
+        raise ArriveError(f"{path} holds no result of {PROTOCOLS[name]!r}; give --{name} another file, or remove it")
+    return content
 
 
 def make_content(runs: Sequence[Run]) -> dict[str, Any]:
@@ -76,13 +106,3 @@ def _eval_command(run: Run) -> str:
         f"arrive eval --protocol difficulty {run.name} --terrain {','.join(families)} "
         f"--episodes {protocol['episodes']} --seed {protocol['seed']}{levels}"
     )
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise ArriveError(f"cannot write {path}: {error}") from error
