@@ -325,7 +325,9 @@ def test_bootstrapping_adds_the_discounted_value_at_time_outs_alone(tmp_path, mo
 
 def test_everything_switched_on_trains(tmp_path):
     train("flat,gap", tmp_path / "run", 3, "ppo.symmetry=true", "schedule.enabled=true")
-    assert [row["iteration"] for row in log_rows(tmp_path / "run")] == ["1", "2", "3"]
+    rows = log_rows(tmp_path / "run")
+    assert [row["iteration"] for row in rows] == ["1", "2", "3"]
+    assert all(-math.inf < float(row["learning/explained_variance"]) <= 1.0 for row in rows)
 
 
 def test_the_logarithm_of_the_action_noise_is_learnt(tmp_path):

@@ -196,7 +196,8 @@ class Trainer:
         """Learn from what was collected; the losses and what else the update has to report."""
         self.algorithm.entropy_coef = settings.entropy
         self.algorithm.desired_kl = settings.desired_kl or None
-        losses = self.algorithm.update()
+        explained = explained_variance(self.algorithm.storage.values, self.algorithm.storage.returns)
+        losses = self.algorithm.update() | {"explained_variance": explained}
         check_losses(losses, self.state.parameters())
         log_std = self.algorithm.get_policy().distribution.log_std_param.data.clamp_(max=math.log(settings.max_std))
         schedule = {"crash_cost": settings.crash_cost, "review": settings.review, "entropy_bonus": settings.entropy}
@@ -222,3 +223,12 @@ class Trainer:
             learning=result.losses | {"diverged": float(statistics.diverged)},
         )
         return find_warnings(report)
+
+
+def explained_variance(values: torch.Tensor, returns: torch.Tensor) -> float:
+    """1 - Var(returns - values) / Var(returns): 1 of a critic that foresees everything, 0 of one that knows the mean.
+
+    It is that of a rollout, before the critic has learnt from it; 0 where all returns are the same.
+    """
+    spread = returns.var()
+    return float(1.0 - (returns - values).var() / spread) if spread > 0.0 else 0.0
