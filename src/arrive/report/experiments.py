@@ -131,7 +131,7 @@ def stability_section(content: dict[str, Any] | None) -> str:
     """What the paper's three changes for stability do (its section II-F)."""
     head = "<h2 id=stability>Stability of training (section II-F)</h2>"
     if content is None:
-        return head + missing("Not measured.", "python benchmarks/stability.py --samples 5M")
+        return head + missing("Not measured.", "python benchmarks/stability.py --samples 5e6")
     protocol = content["protocol"]
     told = (
         "<p class=soft>The paper doubles the steps per iteration, shortens episodes from 20 to 6 s and does not "
@@ -166,7 +166,7 @@ def window_section(content: dict[str, Any] | None) -> str:
     """What the task reward's dependence on time does: T_r from short to the whole episode."""
     head = "<h2 id=window>The reward window T<sub>r</sub></h2>"
     if content is None:
-        return head + missing("Not measured.", "python benchmarks/time_window.py gap=0.2 --samples 10M")
+        return head + missing("Not measured.", "python benchmarks/time_window.py gap=0.2 --samples 1e7")
     protocol = content["protocol"]
     told = (
         f"<p class=soft>Trainings on {html.escape(protocol['ground'])} that differ in T<sub>r</sub> alone, up to the "

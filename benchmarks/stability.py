@@ -1,0 +1,137 @@
+"""Do the paper's three changes make training more stable (its section II-F)?
+
+    python benchmarks/stability.py --samples 5e6
+    python benchmarks/stability.py --grounds flat gap=0.2 --seeds 1 2 3 --samples 2e7 --threads 1
+
+Trains every ground with the preset as it is, with each of the changes taken back, and with all taken back: half the
+steps per iteration, episodes of 20 s, time-outs that are bootstrapped. Every run has the same number of samples. A seed
+succeeds where its policy arrives often enough by the protocol of maximum difficulty. Interrupted, it goes on where it
+stopped; results so far are in stability.json, which `arrive report --stability` shows.
+"""
+
+import statistics
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from trainings import LAST_SHARE, Training, command, markdown
+
+from arrive.files import write_json
+from arrive.learning.rundir import commit
+from arrive.presets import get_preset
+
+OURS = "as it is"
+LONG_S = 20.0
+"""Episodes before the paper's change [s]."""
+BOOTSTRAPPING = Path(__file__).parent / "bootstrapping.py"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to train."""
+
+    words: str
+    settings: tuple[str, ...] = ()
+    """What is set, as PATH=VALUE."""
+    module: Path | None = None
+    """What is imported."""
+
+
+@dataclass
+class Arguments:
+    """What to train, and what counts as success."""
+
+    samples: float = 5e6
+    """Policy steps of every run."""
+    grounds: tuple[str, ...] = ("flat", "gap=0.2")
+    """Families to train on, with the value to measure at where they have a parameter."""
+    seeds: tuple[int, ...] = (1, 2, 3, 4, 5)
+    preset: str = "robust"
+    goal: float = 0.9
+    """Share of the episodes that must arrive."""
+    episodes: int = 200
+    threads: int = 0
+    set: tuple[str, ...] = ()
+    """Settings of all runs, as PATH=VALUE."""
+    out: Path = Path("runs/stability")
+
+
+def variants(preset: str) -> dict[str, Variant]:
+    """The preset, then each change taken back, then all."""
+    steps = get_preset(preset).ppo.num_steps
+    half = (f"ppo.num_steps={steps // 2}",)
+    long = (f"task.episode_s={LONG_S}", f"task.episode_min_s={LONG_S}")
+    return {
+        OURS: Variant("the paper's three changes"),
+        "half steps": Variant(f"{steps // 2} instead of {steps} steps per iteration", half),
+        "20 s": Variant(f"episodes of {LONG_S:g} s", long),
+        "bootstrapped": Variant("bootstrapped time-outs", module=BOOTSTRAPPING),
+        "all": Variant("all three taken back", (*half, *long), BOOTSTRAPPING),
+    }
+
+
+def main(arguments: Arguments) -> None:
+    """Train and measure what is missing, one run after the other, and print the table."""
+    torch.set_num_threads(1)
+    choices = variants(arguments.preset)
+    runs: list[dict[str, Any]] = []
+    # A whole comparison per seed, so that one that is cut off compares evenly.
+    for seed in arguments.seeds:
+        for ground in arguments.grounds:
+            for name, variant in choices.items():
+                folder = arguments.out / f"{ground} {name} {seed}".replace(" ", "-").replace("=", "-")
+                settings, module = (*arguments.set, *variant.settings), variant.module
+                training = Training(
+                    folder, ground, seed, arguments.samples, arguments.preset, settings, arguments.threads, module
+                )
+                policy = training.finish()
+                measured = training.measure(policy, arguments.episodes)
+                result = {"ground": ground, "variant": name, "seed": seed, "samples": policy.samples}
+                runs.append(result | {key: measured[key] for key in ("success", "interval")} | training.critic())
+                write_json(arguments.out / "stability.json", content(arguments, choices, runs))
+                print(f"{ground}, {name}, seed {seed}: {measured['success']:.1%}", flush=True)
+    print(table(arguments, choices, runs))
+
+
+def content(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """All results so far as JSON data."""
+    return {
+        "runs": runs,
+        "variants": {name: variant.words for name, variant in choices.items()},
+        "protocol": {
+            "name": "stability",
+            "preset": arguments.preset,
+            "samples": arguments.samples,
+            "goal": arguments.goal,
+            "grounds": list(arguments.grounds),
+            "seeds": list(arguments.seeds),
+            "episodes": arguments.episodes,
+            "set": list(arguments.set),
+            "last_share": LAST_SHARE,
+        },
+        "command": command(),
+        "commit": commit(),
+    }
+
+
+def table(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> str:
+    """A row per ground and variant."""
+    rows = []
+    for ground in arguments.grounds:
+        for name, variant in choices.items():
+            mine = [run for run in runs if (run["ground"], run["variant"]) == (ground, name)]
+            shares = [run["success"] for run in mine]
+            good = sum(share >= arguments.goal for share in shares)
+            critic = (statistics.mean(run[key] for run in mine) for key in ("explained_variance", "value_loss"))
+            spread = f"{min(shares):.1%} to {max(shares):.1%}"
+            rows.append(
+                [ground, variant.words, f"{good} of {len(mine)}", spread, *(f"{value:.3f}" for value in critic)]
+            )
+    head = ["terrain", "training", "seeds that succeed", "success", "explained variance", "value loss"]
+    return markdown(head, rows)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))

@@ -1,0 +1,135 @@
+"""What does the task reward's dependence on time do? The reward window T_r, from half a second to the whole episode.
+
+    python benchmarks/time_window.py gap=0.2 --samples 1e7
+    python benchmarks/time_window.py stairs=0.1 --windows 0.5 2 8 --seeds 1 2 --samples 2e7 --threads 1
+
+With T_r = T the task is P_c; all episodes have the preset's longest time, so that every one can have such a window.
+Reports success, time, path and speed on the way by the protocol of maximum difficulty, and what walking costs on flat
+ground. Interrupted, it goes on where it stopped; results so far are in time_window.json, which `arrive report
+--window` shows.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from trainings import Training, command, markdown
+
+from arrive.config import override
+from arrive.evaluation.energy import measure_energy
+from arrive.files import read_json, write_json
+from arrive.learning.policy import Policy
+from arrive.learning.rundir import commit
+from arrive.presets import get_preset
+
+
+@dataclass
+class Arguments:
+    """What to train and how to measure it."""
+
+    ground: tyro.conf.Positional[str] = "gap=0.2"
+    """Family to train on, with the value to measure at."""
+    windows: tuple[float, ...] = ()
+    """T_r [s]; 0.5, 1, 2, 4 and the preset's whole episode by default."""
+    samples: float = 1e7
+    """Policy steps of every run."""
+    seeds: tuple[int, ...] = (1,)
+    preset: str = "robust"
+    episodes: int = 200
+    speeds: tuple[float, ...] = (0.5, 0.75, 1.0)
+    """Told when the cost of walking is measured [m/s]."""
+    robots: int = 20
+    """Per speed."""
+    distance: float = 20.0
+    """How far each walks [m]."""
+    threads: int = 0
+    set: tuple[str, ...] = ()
+    """Settings of all runs, as PATH=VALUE."""
+    out: Path = Path("runs/time_window")
+
+
+def main(arguments: Arguments) -> None:
+    """Train and measure what is missing, one run after the other, and print the table."""
+    torch.set_num_threads(1)
+    episode_s = override(get_preset(arguments.preset), arguments.set).task.episode_s
+    windows = arguments.windows or (*(w for w in (0.5, 1.0, 2.0, 4.0) if w < episode_s), episode_s)
+    if max(windows) > episode_s:
+        raise SystemExit(f"--windows must be at most the episode of {episode_s:g} s, not {max(windows):g}")
+    runs: list[dict[str, Any]] = []
+    for seed in arguments.seeds:
+        for window in windows:
+            folder = arguments.out / f"{arguments.ground}-{window:g}-{seed}".replace("=", "-")
+            settings = (*arguments.set, f"task.episode_min_s={episode_s}", f"task.reward_window_s={window}")
+            training = Training(
+                folder, arguments.ground, seed, arguments.samples, arguments.preset, settings, arguments.threads
+            )
+            policy = training.finish()
+            measured = training.measure(policy, arguments.episodes)
+            runs.append(result(window, seed, policy, measured, walking_costs(arguments, folder, policy)))
+            write_json(arguments.out / "time_window.json", content(arguments, episode_s, runs))
+            print(f"T_r {window:g} s, seed {seed}: {measured['success']:.1%}", flush=True)
+    print(table(runs))
+
+
+def walking_costs(arguments: Arguments, folder: Path, policy: Policy) -> list[dict[str, Any]]:
+    """A row per speed as of `arrive energy`; what was measured before is read again."""
+    path = folder / "energy.json"
+    wanted = {
+        "samples": policy.samples,
+        "told": list(arguments.speeds),
+        "robots": arguments.robots,
+        "distance_m": arguments.distance,
+    }
+    if path.is_file() and wanted.items() <= (known := read_json(path)).items():
+        return known["rows"]
+    answer = measure_energy(policy, arguments.speeds, arguments.robots, arguments.distance, 1, arguments.threads)
+    write_json(path, wanted | {"rows": answer["speeds"]})
+    return answer["speeds"]
+
+
+def result(window: float, seed: int, policy: Policy, measured: dict[str, Any], energy: list) -> dict[str, Any]:
+    """One run's figures; times and paths are quartiles, None where nobody arrived."""
+    usage = measured["usage"]
+    figures = {key: usage.get(key) for key in ("arrival_time_s", "path_length_m", "speed_profile", "motion")}
+    own = {"window_s": window, "seed": seed, "samples": policy.samples, "energy": energy}
+    return own | {key: measured[key] for key in ("success", "interval")} | figures
+
+
+def content(arguments: Arguments, episode_s: float, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """All results so far as JSON data."""
+    return {
+        "runs": runs,
+        "protocol": {
+            "name": "time_window",
+            "preset": arguments.preset,
+            "ground": arguments.ground,
+            "samples": arguments.samples,
+            "episodes": arguments.episodes,
+            "episode_s": episode_s,
+            "seeds": list(arguments.seeds),
+            "set": list(arguments.set),
+            "energy": {"robots": arguments.robots, "distance_m": arguments.distance},
+        },
+        "command": command(),
+        "commit": commit(),
+    }
+
+
+def table(runs: list[dict[str, Any]]) -> str:
+    """A row per run."""
+    rows = []
+    for run in runs:
+        low, high = run["interval"]
+        times, paths = (f"{run[key][1]:.2f}" if run[key] else "-" for key in ("arrival_time_s", "path_length_m"))
+        costs = ", ".join(
+            f"{row['torque_sq'][0]:.0f} at {row['speed'][0]:.2f} m/s" for row in run["energy"] if row["torque_sq"]
+        )
+        success = f"{run['success']:.1%} ({low:.1%} to {high:.1%})"
+        rows.append([f"{run['window_s']:g}", str(run["seed"]), success, times, paths, costs or "nobody walked"])
+    return markdown(["T_r [s]", "seed", "success", "time [s]", "path [m]", "squared torques per metre"], rows)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))

@@ -1,0 +1,112 @@
+"""Trainings that differ in a few settings: each is begun, continued and measured once, by whichever call gets to it.
+
+`stability.py` and `time_window.py` share this.
+"""
+
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from arrive.evaluation import difficulty
+from arrive.evaluation.arrival import choose_cells
+from arrive.files import read_json, write_json
+from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.learning.logs import read_log
+from arrive.learning.policy import Policy, load_policy
+from arrive.learning.run_files import read_progress
+from arrive.plugins import import_module
+
+LAST_SHARE = 0.1
+"""Figures of the critic are means over this last share of a run."""
+CURVE_POINTS = 50
+"""Curves are thinned to this many points."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One run."""
+
+    folder: Path
+    ground: str
+    """Family to train on, or NAME=VALUE with the value that success is measured at."""
+    seed: int
+    samples: float
+    """Policy steps of all robots."""
+    preset: str
+    settings: tuple[str, ...] = ()
+    """What is set, as PATH=VALUE."""
+    threads: int = 0
+    module: Path | None = None
+    """Imported before anything, as by `--import`."""
+
+    def finish(self) -> Policy:
+        """Train it, or what is missing of it.
+
+        Raises:
+            subprocess.CalledProcessError: the training failed.
+        """
+        family = self.ground.partition("=")[0]
+        module = ("--import", str(self.module)) if self.module else ()
+        options = ["--samples", f"{self.samples:.0f}", "--threads", str(self.threads), *module]
+        if not (self.folder / CHECKPOINT_NAME).exists():
+            changes = ("--set", *self.settings) if self.settings else ()
+            new = ("--preset", self.preset, "--seed", str(self.seed), "--out", str(self.folder), *changes)
+            arrive("train", family, *options, *new)
+        elif read_progress(self.folder).samples < self.samples:
+            arrive("train", family, *options, "--resume", str(self.folder))
+        if self.module:
+            # Only so that the policy can be read: measuring it bootstraps nothing.
+            import_module(str(self.module))
+        return load_policy(self.folder)
+
+    def measure(self, policy: Policy, episodes: int) -> dict[str, Any]:
+        """Success by the protocol of maximum difficulty at the ground's value, and how the policy gets there.
+
+        What was measured before is read again, if it is of the same policy and as many episodes.
+        """
+        path = self.folder / "measured.json"
+        wanted = {"ground": self.ground, "episodes": episodes, "samples": policy.samples}
+        if path.is_file() and wanted.items() <= (known := read_json(path)).items():
+            return known
+        ((family, cell),) = choose_cells(policy.config, self.ground)
+        chosen = {family.name: cell} if cell else {}
+        answer = difficulty.measure(policy, [family], episodes, 1, threads=self.threads, chosen=chosen)
+        (rows,), (usage,) = answer.results.values(), answer.content["policy"]["usage"].values()
+        if len(rows) > 1:
+            raise SystemExit(f"{family.name} has a parameter: say at which value to measure, as {family.name}=VALUE")
+        measured = wanted | {"success": rows[0].success, "interval": list(rows[0].interval), "usage": usage[0]}
+        write_json(path, measured)
+        return measured
+
+    def critic(self) -> dict[str, Any]:
+        """Explained variance and loss of the value function: their last means, and the former's curve."""
+        log = read_log(self.folder)
+        samples, explained, loss = (
+            log[name] for name in ("progress/samples", "learning/explained_variance", "learning/value")
+        )
+        last = max(round(LAST_SHARE * len(samples)), 1)
+        step = max(len(samples) // CURVE_POINTS, 1)
+        return {
+            "explained_variance": sum(explained[-last:]) / last,
+            "value_loss": sum(loss[-last:]) / last,
+            "curve": {"samples": samples[::step], "explained_variance": explained[::step]},
+        }
+
+
+def arrive(*arguments: str) -> None:
+    """Run the command line."""
+    subprocess.run([sys.executable, "-m", "arrive.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def command() -> str:
+    """How this benchmark was called."""
+    return shlex.join(["python", *sys.argv])
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows))
