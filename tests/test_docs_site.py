@@ -1,0 +1,30 @@
+"""The documentation site builds without a warning: every page is reachable and every link leads somewhere."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parent.parent / "docs"
+pytest.importorskip("sphinx", reason="the generator of the site is not installed: pip install -e '.[docs]'")
+
+
+def build(source: Path, out: Path) -> subprocess.CompletedProcess:
+    strict = ["-W", "--keep-going", "-q", "-b", "html", "-c", DOCS]
+    command = [sys.executable, "-m", "sphinx", *strict, source, out]
+    return subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=300)
+
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    result = build(DOCS, tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "index.html").exists()
+
+
+@pytest.mark.parametrize(("link", "complaint"), [("missing.md", "missing"), ("#nowhere", "nowhere")])
+def test_a_link_that_leads_nowhere_is_an_error(tmp_path, link, complaint):
+    (tmp_path / "index.md").write_text(f"# A page\n\n[there]({link})\n")
+    result = build(tmp_path, tmp_path / "out")
+    assert result.returncode != 0
+    assert complaint in result.stderr
