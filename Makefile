@@ -12,12 +12,12 @@ demo: $(STAMP)
 	$(BIN)/arrive eval runs/demo --episodes 1000
 
 test: $(STAMP) $(WARP)
-	$(BIN)/ruff check src tests benchmarks scripts examples
+	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
 	$(BIN)/python -m pytest
 
 lint: $(STAMP)
-	$(BIN)/ruff check src tests benchmarks scripts examples
-	$(BIN)/ruff format --check src tests benchmarks scripts examples
+	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
+	$(BIN)/ruff format --check src tests benchmarks scripts examples docs/conf.py
 
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs

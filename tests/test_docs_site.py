@@ -1,5 +1,6 @@
 """The documentation site builds without a warning: every page is reachable and every link leads somewhere."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parent.parent / "docs"
+SOURCE = DOCS.parent / "src" / "arrive"
 pytest.importorskip("sphinx", reason="the generator of the site is not installed: pip install -e '.[docs]'")
 
 
@@ -28,3 +30,14 @@ def test_a_link_that_leads_nowhere_is_an_error(tmp_path, link, complaint):
     result = build(tmp_path, tmp_path / "out")
     assert result.returncode != 0
     assert complaint in result.stderr
+
+
+def test_the_architecture_page_names_every_package_and_only_files_that_exist():
+    table = (DOCS / "architecture.md").read_text().split("## What each folder has")[1]
+    named = set()
+    for folders, _, files in re.findall(r"^\| (`.+?) \| (.+) \| (`.+`) \|$", table, re.MULTILINE):
+        packages = re.findall(r"`(\w+)/`", folders)
+        named.update(packages)
+        for package, file in zip(packages, re.findall(r"`(\w+\.py)`", files), strict=True):
+            assert (SOURCE / package / file).exists(), f"{package}/{file}"
+    assert named == {path.parent.name for path in SOURCE.glob("*/__init__.py")}
