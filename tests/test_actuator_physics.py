@@ -15,12 +15,15 @@ from arrive.actuation import motor_torque
 from arrive.actuation.clip import TorqueClip
 from arrive.actuation.network_file import write_network
 from arrive.actuation.runtime import make_runtime
+from arrive.build import build_env
 from arrive.config import Config, override
 from arrive.errors import ArriveError
+from arrive.evaluation.motors import meter
 from arrive.physics import Physics, PhysicsConfig
 from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.physics.world import compile_world
+from arrive.presets import robust
 from arrive.robots import get_robot
 from arrive.simulation import SimulatedRobot
 from arrive.terrain import FAMILIES, build_tile
@@ -188,6 +191,22 @@ class TestSimulatedRobot:
                 robot.step(targets(1, step)[0].numpy())
                 physics.step(targets(1, step))
             np.testing.assert_allclose(robot.data.qpos, physics.state_dict()["qpos"][0], atol=1e-7)
+
+
+def test_metered_robots_have_the_same_motors(tmp_path):
+    """`arrive energy` steps the engine by itself; without the network targets would be taken for torques."""
+    path = tmp_path / "drive.safetensors"
+    write_network(path, lstm())
+    config = replace(robust(), num_envs=2, physics=replace(NETWORK, motor_file=str(path)))
+    config = replace(config, terrain=replace(config.terrain, levels=1, variants=1))
+    plain, metered = build_env(config, threads=1), build_env(config, threads=1)
+    motors = meter(metered, 1)
+    for env in (plain, metered):
+        env.restart(seed=3)
+        env.step(torch.full((2, 12), 0.2))
+    assert float(plain.state.joint_torque.abs().max()) > 1.0
+    torch.testing.assert_close(metered.state.joint_torque, plain.state.joint_torque)
+    assert float(motors.torque_sq.min()) > 0.0
 
 
 class TestConfiguration:

@@ -9,6 +9,7 @@ from torch import Tensor
 from arrive.env import ArriveEnv
 from arrive.physics.device import make_physics
 from arrive.physics.engine import Physics
+from arrive.physics.motors import motor_network
 
 
 class MeteredPhysics:
@@ -61,7 +62,7 @@ def meter(env: ArriveEnv, threads: int) -> MeteredPhysics:
     """Put a meter into an environment, whose robots then start their first episode again."""
     config = env.config.physics
     single = replace(config, decimation=1)
-    engine = make_physics(env.robot, env.pool.worlds, single, env.num_envs, threads, env.device)
+    engine = make_physics(env.robot, env.pool.worlds, single, env.num_envs, threads, env.device, motor_network(single))
     env.physics = metered = MeteredPhysics(engine, config.decimation, config.timestep_s)
     env.restart()
     return metered

@@ -22,6 +22,7 @@ def network_motors(
     config: PhysicsConfig, robot: Robot, num_envs: int, network: ActuatorNetwork | None
 ) -> NetworkMotors | None:
     """The motors of this many robots in NumPy; None for motors inside MuJoCo."""
+    assert (network is not None) == (config.motor == "network"), "targets would be taken for torques"
     if network is None:
         return None
     return NetworkMotors(network, robot.motors, config.motor_clip, num_envs)
