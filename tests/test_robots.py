@@ -105,6 +105,17 @@ def test_a_reflected_robot_behaves_like_the_reflection(robot, name, axis):
     np.testing.assert_allclose(image.qvel, qvel, atol=1e-5)
 
 
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=lambda robot: robot.name)
+def test_what_is_looked_at_touches_nothing_and_weighs_nothing(robot):
+    plain, drawn = robot.build_spec(False).compile(), robot.build_spec(True).compile()
+    seen = drawn.geom_group == 2
+    assert seen.any()
+    assert not drawn.geom_contype[seen].any()
+    assert not drawn.geom_conaffinity[seen].any()
+    assert (~seen).sum() == plain.ngeom
+    np.testing.assert_array_equal(drawn.body_inertia, plain.body_inertia)
+
+
 class TestGo2:
     """Against Menagerie's model, whose figures were read off the compiled model by a script that shares no code."""
 

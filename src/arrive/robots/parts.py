@@ -50,3 +50,16 @@ def collide(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties) -> None:
 def collide_capsule(body: mujoco.MjsBody, start: Vec3, end: Vec3, radius: float, **properties) -> None:
     """Add a capsule that collides with the terrain [m]."""
     collide(body, mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *end], size=[radius, 0, 0], **properties)
+
+
+def show(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties) -> None:
+    """Add a geom that is only looked at."""
+    body.add_geom(type=shape, group=VISUAL_GROUP, contype=0, conaffinity=0, mass=0.0, **properties)
+
+
+def show_collision_shapes(body: mujoco.MjsBody) -> None:
+    """Add what is looked at to a body and all that hangs on it: copies of their collision shapes."""
+    for geom in [geom for geom in body.geoms if geom.group == COLLISION_GROUP]:
+        show(body, geom.type, fromto=geom.fromto, pos=geom.pos, quat=geom.quat, size=geom.size, rgba=geom.rgba)
+    for child in body.bodies:
+        show_collision_shapes(child)

@@ -14,7 +14,16 @@ from dataclasses import dataclass
 import mujoco
 
 from arrive.actuation import Motor
-from arrive.robots.parts import Inertial, Vec3, add_hinge, collide, collide_capsule, set_inertial
+from arrive.robots.parts import (
+    Inertial,
+    Vec3,
+    add_hinge,
+    collide,
+    collide_capsule,
+    set_inertial,
+    show,
+    show_collision_shapes,
+)
 from arrive.robots.robot import Robot
 
 DRIVES = ("hip", "thigh", "calf")
@@ -89,7 +98,7 @@ SHELL, LIMB = {"rgba": (0.80, 0.80, 0.82, 1.0)}, {"rgba": (0.25, 0.25, 0.28, 1.0
 
 
 def build_spec(visuals: bool = True) -> mujoco.MjSpec:
-    """The robot alone, its base frame at the origin; pictures show its collision shapes, with or without `visuals`."""
+    """The robot alone, its base frame at the origin; `visuals` adds the shapes that only pictures need."""
     spec = mujoco.MjSpec()
     spec.modelname = "go2"
     spec.compiler.degree = False
@@ -100,6 +109,9 @@ def build_spec(visuals: bool = True) -> mujoco.MjSpec:
     collide_capsule(base, (0.285, 0.0, 0.01), (0.293, 0.0, -0.06), 0.047, **SHELL)  # the head
     for leg in LEGS:
         _add_leg(base, leg)
+    if visuals:
+        show_collision_shapes(base)
+        _show_shells(base)
     return spec
 
 
@@ -123,6 +135,17 @@ def _add_leg(base: mujoco.MjsBody, leg: Leg) -> None:
     collide_capsule(thigh, (0.0, 0.0, 0.0), (0.0, 0.0, -0.19), 0.0225, **LIMB)
     collide_capsule(calf, (0.003, 0.0, -0.02), (0.016, 0.0, -0.11), 0.0125, **LIMB)
     collide_capsule(calf, (0.018, 0.0, -0.12), (0.003, 0.0, -0.195), 0.011, **LIMB)
+
+
+def _show_shells(base: mujoco.MjsBody) -> None:
+    """The rounded flanks of the trunk, and the hip and thigh drives, which touch nothing here."""
+    capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    for side in (1, -1):
+        show(base, capsule, fromto=(-0.16, 0.05 * side, 0.0, 0.2, 0.05 * side, 0.0), size=[0.05, 0, 0], **SHELL)
+    for hip, leg in zip(base.bodies, LEGS, strict=True):
+        out = 0.1 * leg.y_sign
+        show(hip, cylinder, fromto=(-0.03, 0.0, 0.0, 0.03, 0.0, 0.0), size=[0.045, 0, 0], **LIMB)
+        show(hip, cylinder, fromto=(0.0, 0.6 * out, 0.0, 0.0, out, 0.0), size=[0.046, 0, 0], **LIMB)
 
 
 def standing_height() -> float:
