@@ -1,16 +1,32 @@
 """Modules of users: the guides in docs/extend.md are followed as they are written, and bad modules are refused."""
 
+import csv
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from arrive import cli, plugins
+from arrive.build import build_env
+from arrive.config import Config, from_dict, to_dict
+from arrive.deployment import Controller, Target
+from arrive.deployment.inputs import frame_of
 from arrive.deployment.policy_file import read_policy_file
+from arrive.deployment.terms import COMPUTED
+from arrive.errors import ArriveError
+from arrive.learning.policy import load_policy
+from arrive.recipe import make_config
 from arrive.robots import ROBOTS
-from arrive.terrain import FAMILIES
+from arrive.simulation import SimulatedRobot
+from arrive.task.registry import TASKS
+from arrive.task.task import TaskConfig
+from arrive.terms import TERMS
+from arrive.terrain import FAMILIES, parse_families
+from arrive.terrain.ground import ground_of
 
 GUIDES = Path(__file__).parents[1] / "docs" / "extend.md"
 SHORT = [
@@ -33,7 +49,8 @@ def fresh(tmp_path, monkeypatch):
     for code in re.findall(r"```python\n(.*?)```", GUIDES.read_text(), re.DOTALL):
         (tmp_path / re.match(r"# (\w+\.py)\n", code)[1]).write_text(code)
     before = set(sys.modules)
-    saved = [(things, dict(things)) for things in (ROBOTS, FAMILIES, plugins._imported)]
+    registries = (ROBOTS, FAMILIES, TASKS, TaskConfig.kinds, TERMS, COMPUTED, plugins._imported)
+    saved = [(things, dict(things)) for things in registries]
     yield
     for things, content in saved:
         things.clear()
@@ -78,6 +95,74 @@ def test_the_guides_terrain_and_robot_train_and_export(tmp_path, capsys):
     cli.main([*go_on, *both])
     cli.main(["export", "run", "-o", "pup.onnx", *both])
     assert read_policy_file("pup.onnx").robot.name == "pup"
+
+
+def trained(task: str, tmp_path: Path) -> dict:
+    """The record of a run of one iteration of a guide's task, and the policy exported from it."""
+    option = ["--import", f"{task}.py"]
+    cli.main(["train", "flat", "--task", task, *RUN, *option])
+    cli.main(["export", "run", "-o", "policy.onnx", *option])
+    return json.loads((tmp_path / "run" / "config.json").read_text())
+
+
+def last_row(tmp_path: Path) -> dict[str, str]:
+    with (tmp_path / "run" / "log.csv").open(newline="") as file:
+        return list(csv.DictReader(file))[-1]
+
+
+def test_the_guides_reward_is_paid(tmp_path, capsys):
+    """Its cost is logged; the preset's other weights are kept; its weight is changed by name."""
+    record = trained("calm", tmp_path)
+    assert float(last_row(tmp_path)["rewards/tilt_cost"]) < 0.0
+    rewards = record["config"]["task"]["rewards"]
+    assert rewards["tilt_cost"] == {"weight": -0.5}
+    assert rewards["task"] == {"weight": 10.0}
+    families = parse_families("flat")
+    changed = make_config(families, task="calm", overrides=("task.rewards.tilt_cost=-1",))
+    assert changed.task.rewards.tilt_cost.weight == -1.0
+    assert from_dict(Config, to_dict(changed)) == changed
+    with pytest.raises(ArriveError, match="tilt_cost"):
+        make_config(families, overrides=("task.rewards.tilt_cost=-1",))
+
+
+def test_the_guides_observation_is_the_same_for_the_controller(tmp_path):
+    """Training and controller compute the same from the same state, and without the module no controller runs it."""
+    trained("tall", tmp_path)
+    file = read_policy_file("policy.onnx")
+    term = file.terms[-1]
+    assert (term.name, term.stop - term.start, term.unit) == ("base_height", 1, "m")
+    policy = load_policy(Path("run"))
+    robot, controller = SimulatedRobot(policy.config, ground_of("flat").build()), Controller(file)
+    goal = Target((1.0, 0.0, 0.5), 2.0)
+    frame = frame_of(robot.sensors(), goal, robot.height_map(), 0.0, controller._grid)
+    observation, _ = controller.observe(frame)
+    assert observation[-1] == pytest.approx(2.0 * robot.base_pos_w[2])
+    env = build_env(replace(policy.config, num_envs=2), threads=1)
+    expected = 2.0 * env.state.base_pos_w[:, 2].numpy()
+    assert env.observer.observe(env.state, env.task.command, env._generator)[:, -1].numpy() == pytest.approx(
+        expected, abs=2.0 * 0.02 + 1e-6
+    )
+    COMPUTED.pop("base_height")
+    with pytest.raises(ArriveError, match=r"unknown observation of the controller.*base_height"):
+        Controller(file)
+
+
+def test_the_guides_task_judges_by_its_own_rule(tmp_path, capsys):
+    record = trained("halt", tmp_path)
+    assert record["config"]["task"]["still_speed"] == 0.2
+    capsys.readouterr()
+    cli.main(["list", "tasks"])
+    assert "whoever still moves" in capsys.readouterr().out
+    config = make_config(parse_families("flat"), task="halt", num_envs=2)
+    env = build_env(config, threads=1)
+    state, task = env.state, env.task
+    task.command.target_w[:] = state.base_pos_w
+    state.base_lin_vel_w[:] = 0.0
+    state.base_lin_vel_w[1, 0] = 0.3
+    nobody = torch.zeros(2, dtype=torch.bool)
+    outcome = task.judge(state, nobody, nobody)
+    assert outcome.success.tolist() == [True, False]
+    assert outcome.failures["moving"].tolist() == [False, True]
 
 
 def test_an_installed_package_needs_no_import(tmp_path, monkeypatch, capsys):

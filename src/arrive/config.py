@@ -18,7 +18,8 @@ from arrive.robots import get_robot
 from arrive.task.final import FinalConfig
 from arrive.task.observations import ObservationConfig
 from arrive.task.randomisation import RandomisationConfig
-from arrive.task.registry import AnyTaskConfig, get_task
+from arrive.task.registry import get_task
+from arrive.task.task import TaskConfig
 from arrive.terrain import get_family
 from arrive.terrain.tile import START_RADIUS
 
@@ -140,7 +141,7 @@ class Config:
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
-    task: AnyTaskConfig = field(default_factory=FinalConfig)
+    task: TaskConfig = field(default_factory=FinalConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 

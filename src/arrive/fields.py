@@ -2,7 +2,8 @@
 
 A configuration is a frozen dataclass whose fields may be such dataclasses again. A field's range stands in its type,
 `Annotated[float, Range(0.0, 1.0)]`; a string under it says what it is, with its unit in brackets. Where a range depends
-on another field the dataclass has a method `rules`.
+on another field the dataclass has a method `rules`. A dataclass with a class variable `kinds` stands for one of several
+by their `name`.
 """
 
 import ast
@@ -13,11 +14,10 @@ import itertools
 import json
 import math
 import textwrap
-import types
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from arrive.errors import ArriveError, unknown_name
 
@@ -279,8 +279,8 @@ def _parse(text: str) -> Any:
 
 def _convert(hint: Any, value: Any, where: str) -> Any:
     hint, _ = parted(hint)
-    if isinstance(hint, types.UnionType) or get_origin(hint) is Union:
-        return _choose(get_args(hint), value, where)
+    if isinstance(hint, type) and (kinds := vars(hint).get("kinds")):
+        return _choose(kinds, value, where)
     if dataclasses.is_dataclass(hint):
         if hasattr(hint, "MAIN") and not isinstance(value, dict):
             value = {hint.MAIN: value}
@@ -300,16 +300,15 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     return value
 
 
-def _choose(kinds: tuple[type, ...], value: Any, where: str) -> Any:
+def _choose(kinds: dict[str, type], value: Any, where: str) -> Any:
     """The dataclass of several whose `name` the data has."""
     if not isinstance(value, dict):
         raise ArriveError(f"{where} has fields of its own, it cannot be {value!r}")
-    by_name = {kind().name: kind for kind in kinds}
     name = value.get("name")
-    if name not in by_name:
-        raise unknown_name(where, str(name), by_name)
+    if name not in kinds:
+        raise unknown_name(where, str(name), kinds)
     try:
-        return from_dict(by_name[name], value, f"{where}.")
+        return from_dict(kinds[name], value, f"{where}.")
     except ArriveError as error:
         raise ArriveError(f"{error} ({where} {name!r})") from None
 

@@ -8,12 +8,12 @@ from arrive.errors import unknown_name
 from arrive.task.final import FinalConfig
 from arrive.task.heights import HeightsConfig
 from arrive.task.observations import ObservationConfig
-from arrive.task.rewards import Approach, Cost, PositionRewards, Reward
+from arrive.task.rewards import Approach, Cost, PositionRewards, Reward, Stall
 
 PAPER_REWARDS = PositionRewards(
     task=Reward(10.0),
     exploration=Reward(1.0),
-    stall_cost=Cost(-1.0),
+    stall_cost=Stall(-1.0),
     joint_acc_cost=Cost(-2.5e-7),
     torque_cost=Cost(-1e-5),
     collision_cost=Cost(-1.0),

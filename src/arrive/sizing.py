@@ -1,8 +1,8 @@
 """A configuration whose lengths, masses and weights are those of a robot of another size than ANYmal C.
 
 Presets give figures for ANYmal C. A robot of another size has the same task in dynamically similar motion (Froude): at
-lengths times s, speeds go with the root of s, angular accelerations with 1/s and torques with mass times s. What is
-about the task and not the robot (distances, times, the arrival radius) stays.
+lengths times s, speeds and the time of a step go with the root of s, angular accelerations with 1/s and torques with
+mass times s. What is about the task and not the robot (distances, episodes, the arrival radius) stays.
 """
 
 from dataclasses import replace
@@ -22,8 +22,12 @@ def for_robot(config: Config, robot: Robot) -> Config:
     observation, random, task = config.observation, config.randomisation, config.task
     heights, rewards = observation.heights, task.rewards
     weight_factors = {"torque_cost": (mass * size) ** -2, "joint_acc_cost": size**2}
-    costs = {name: Cost(_scaled(getattr(rewards, name).weight, factor)) for name, factor in weight_factors.items()}
-    task = replace(task, rewards=replace(rewards, **costs))
+    terms = {name: Cost(_scaled(getattr(rewards, name).weight, factor)) for name, factor in weight_factors.items()}
+    if hasattr(rewards, "stall_cost"):
+        terms["stall_cost"] = replace(rewards.stall_cost, speed=_scaled(rewards.stall_cost.speed, size**0.5))
+    if hasattr(rewards, "air_time"):
+        terms["air_time"] = replace(rewards.air_time, least_s=_scaled(rewards.air_time.least_s, size**0.5))
+    task = replace(task, rewards=replace(rewards, **terms))
     if isinstance(task, PositionConfig):
         task = replace(task, target_height=_scaled(task.target_height, size))
     return replace(

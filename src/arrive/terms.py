@@ -6,6 +6,8 @@ does, on a computer without torch, in `arrive.deployment.terms`.
 
 from dataclasses import dataclass
 
+from arrive.registry import add
+
 
 @dataclass(frozen=True)
 class TermMeaning:
@@ -32,3 +34,12 @@ TERMS: dict[str, TermMeaning] = {
     "heights": TermMeaning("m", "heading", "clip(base z - offset - ground, *clip) at the grid's points"),
 }
 """In the order of training."""
+
+
+def register_term(name: str, meaning: TermMeaning) -> None:
+    """Add an observation of one's own; see docs/extend.md.
+
+    Raises:
+        ArriveError: the name is taken.
+    """
+    add("observation", TERMS, name, meaning)

@@ -13,6 +13,7 @@ from arrive.deployment.goals import Order
 from arrive.deployment.inputs import Frame
 from arrive.deployment.policy_file import PolicyFile
 from arrive.errors import ArriveError, unknown_name
+from arrive.registry import add
 from arrive.terms import TERMS
 
 
@@ -67,6 +68,15 @@ COMPUTED: dict[str, ObservedTerm] = {
     "heights": ObservedTerm(lambda policy: len(policy.grid.points_m), _heights),
 }
 """Those of `arrive.terms` that the controller can provide."""
+
+
+def register_computed(name: str, term: ObservedTerm) -> None:
+    """Tell the controller how to compute an observation of one's own; without it no controller runs its policies.
+
+    Raises:
+        ArriveError: the name is taken.
+    """
+    add("observation of the controller", COMPUTED, name, term)
 
 
 def check_terms(policy: PolicyFile) -> None:

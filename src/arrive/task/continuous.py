@@ -1,10 +1,9 @@
 """Continuous position tracking: be at the target all the time (paper, section Simulation Experiments, P_c)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
-from arrive.task.final import FinalConfig, FinalPositionTask, PositionConfig
-from arrive.task.task import TaskConfig
+from arrive.task.final import FinalPositionTask, PositionConfig
 
 
 @dataclass(frozen=True)
@@ -24,9 +23,3 @@ class ContinuousPositionTask(FinalPositionTask):
     """Position targets whose reward is paid at every step: T_r = T, and nothing else differs from `final`."""
 
     Config = ContinuousConfig
-
-    @staticmethod
-    def from_preset(config: TaskConfig) -> TaskConfig:
-        if not isinstance(config, FinalConfig):
-            return ContinuousConfig()
-        return ContinuousConfig(**{row.name: getattr(config, row.name) for row in fields(ContinuousConfig)[1:]})

@@ -1,6 +1,6 @@
 """Final-position tracking: be at the target when the time is over (paper, section Method)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Literal, Self
 
 import torch
@@ -101,9 +101,18 @@ class FinalPositionTask:
         self._tile_ids = torch.zeros(num_envs, dtype=torch.long, device=device)
         self._waited_s = torch.zeros(num_envs, device=device)
 
-    @staticmethod
-    def from_preset(config: TaskConfig) -> TaskConfig:
-        return config if isinstance(config, FinalConfig) else FinalConfig()
+    @classmethod
+    def from_preset(cls, config: TaskConfig) -> TaskConfig:
+        """The preset's fields and rewards, as far as this task has them; others as they are by default."""
+        if isinstance(config, cls.Config):
+            return config
+        own = cls.Config()
+        if not isinstance(config, PositionConfig):
+            return own
+        names = {row.name for row in fields(own)} & {row.name for row in fields(config)} - {"name", "rewards"}
+        rewards = {row.name: getattr(config.rewards, row.name) for row in fields(config.rewards)}
+        kept = {name: getattr(config, name) for name in names}
+        return replace(own, **kept, rewards=replace(own.rewards, **rewards))
 
     @property
     def episode_s(self) -> float:

@@ -1,18 +1,25 @@
-"""Tasks by name; a new task is one module and two lines here."""
+"""Tasks by name; a new task is one module and one line here."""
 
 from arrive.errors import unknown_name
-from arrive.task.continuous import ContinuousConfig, ContinuousPositionTask
-from arrive.task.final import FinalConfig, FinalPositionTask
-from arrive.task.task import Task
-from arrive.task.velocity import VelocityConfig, VelocityTask
+from arrive.registry import add
+from arrive.task.continuous import ContinuousPositionTask
+from arrive.task.final import FinalPositionTask
+from arrive.task.task import Task, TaskConfig
+from arrive.task.velocity import VelocityTask
 
-TASKS: dict[str, type[Task]] = {
-    "final": FinalPositionTask,
-    "continuous": ContinuousPositionTask,
-    "velocity": VelocityTask,
-}
-AnyTaskConfig = FinalConfig | ContinuousConfig | VelocityConfig
-"""What a configuration's `task` may be; its `name` says which."""
+TASKS: dict[str, type[Task]] = {}
+
+
+def register_task(task: type[Task]) -> type[Task]:
+    """Add a task under the name in its configuration, which `--task NAME` then chooses; a decorator.
+
+    Raises:
+        ArriveError: the name is taken.
+    """
+    name = task.Config().name
+    add("task", TASKS, name, task)
+    TaskConfig.kinds[name] = task.Config
+    return task
 
 
 def get_task(name: str) -> type[Task]:
@@ -24,3 +31,7 @@ def get_task(name: str) -> type[Task]:
     if name not in TASKS:
         raise unknown_name("task", name, TASKS)
     return TASKS[name]
+
+
+for built_in in (FinalPositionTask, ContinuousPositionTask, VelocityTask):
+    register_task(built_in)

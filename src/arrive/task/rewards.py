@@ -61,6 +61,14 @@ class Approach(Reward):
     robots may learn to stop just there, and miss it by a centimetre."""
 
 
+@dataclass(frozen=True)
+class Stall(Cost):
+    """The cost `stall_cost`."""
+
+    speed: Positive = STALL_SPEED
+    """A base slower than this is waiting (paper, eq. 4) [m/s]."""
+
+
 def term(function: Callable[..., Tensor], config: Reward | Cost | None = None) -> Any:
     """A field of a table of rewards: the function that computes the term, and its parameters where it has some."""
     default = config or (Cost() if function.__name__.endswith("_cost") else Reward())
@@ -98,9 +106,9 @@ def exploration(state: State, command: Command) -> Tensor:
     return torch.cosine_similarity(state.base_lin_vel_w, command.target_w - state.base_pos_w, dim=-1)
 
 
-def stall_cost(state: State, command: Command) -> Tensor:
-    """1 while waiting (slower than 0.1 m/s) farther than 0.5 m from the target (paper, eq. 4), (n,)."""
-    slow = state.base_lin_vel_w.norm(dim=-1) < STALL_SPEED
+def stall_cost(state: State, command: Command, *, speed: float) -> Tensor:
+    """1 while waiting (slower than `speed`) farther than 0.5 m from the target (paper, eq. 4), (n,)."""
+    slow = state.base_lin_vel_w.norm(dim=-1) < speed
     return (slow & (distance_to_target(state, command) > STALL_DISTANCE)).float()
 
 
@@ -194,7 +202,7 @@ class PositionRewards:
 
     task: Reward = term(task)
     exploration: Reward = term(exploration)
-    stall_cost: Cost = term(stall_cost)
+    stall_cost: Stall = term(stall_cost, Stall())
     joint_acc_cost: Cost = term(joint_acc_cost)
     torque_cost: Cost = term(torque_cost)
     collision_cost: Cost = term(collision_cost)

@@ -16,6 +16,9 @@ from arrive.terrain.rasters import Rasters
 class TaskConfig:
     """What every task's configuration has; each task adds its own fields, and a table of its rewards."""
 
+    kinds: ClassVar[dict[str, "type[TaskConfig]"]] = {}
+    """The configuration of every task, by the task's name: what `task` of a run may be."""
+
     name: str
     """The task, see `arrive list tasks`."""
     episode_s: float
