@@ -1,7 +1,9 @@
 """The command line: what it refuses and why, and one run from training to pictures."""
 
+import contextlib
 import csv
 import json
+import subprocess
 import sys
 
 import imageio.v2 as imageio
@@ -10,12 +12,14 @@ import torch
 from PIL import Image
 
 from arrive import cli
+from arrive.fields import rows
 from arrive.presets import PRESETS
+from arrive.recipe import make_config
 from arrive.render import graphics, pictures
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
 from arrive.task.rewards import PositionRewards, functions
-from arrive.terrain import FAMILIES
+from arrive.terrain import FAMILIES, parse_families
 
 REWARDS = functions(PositionRewards())
 
@@ -223,6 +227,30 @@ def test_help_names_the_commands(capsys):
     assert stopped.value.code == 0
     text = capsys.readouterr().out
     assert all(command in text for command in ("train", "eval", "list"))
+
+
+@pytest.mark.parametrize("command", [["list", "config"], ["train", "--help"], ["bench", "--help"]], ids=" ".join)
+def test_every_field_of_the_configuration_is_shown_with_unit_default_and_range(capsys, command):
+    with contextlib.suppress(SystemExit):
+        cli.main(command)
+    text = capsys.readouterr().out
+    for task in TASKS:
+        config = make_config(parse_families("flat"), task=task)
+        assert all(f"  {row.path} = " in text for row in rows(config))
+    assert "  task.reward_window_s = 2.0 [s] (above 0)\n      Duration T_r of the task reward" in text
+    assert "  task.rewards.stall_cost.weight = -1.0 (at most 0)\n      1 while waiting" in text
+
+
+def test_help_of_other_commands_loads_no_torch():
+    program = """
+import contextlib, sys
+from arrive import cli
+with contextlib.suppress(SystemExit):
+    cli.main(["eval", "--help"])
+print("torch" in sys.modules)
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    assert result.stdout.split()[-1] == b"False"
 
 
 def test_without_graphics_an_evaluation_says_so_in_one_line(capsys, trained, tmp_path, monkeypatch):

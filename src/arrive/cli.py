@@ -46,6 +46,10 @@ Command = (
 )
 
 
+SETTABLE = ("train", "bench")
+"""Commands that change fields of the configuration with --set; their help lists all."""
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; a problem is one line on standard error and exit status 1, with --debug also its traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -53,7 +57,12 @@ def main(arguments: list[str] | None = None) -> None:
     words = [word for word in arguments if word != DEBUG]
     imports, words = _imports(words)
     description = f"{__doc__} {DEBUG} shows tracebacks; {IMPORT} FILE.py adds robots, terrains and more of your own."
-    command = tyro.cli(Command, prog="arrive", description=description, args=words)
+    try:
+        command = tyro.cli(Command, prog="arrive", description=description, args=words)
+    except SystemExit as stop:
+        if not stop.code and words[0] in SETTABLE:
+            _show_fields()
+        raise
     try:
         for source in imports:
             import_module(source)
@@ -64,6 +73,15 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print(f"arrive: {_one_line(error)}", file=sys.stderr)
         sys.exit(1)
+
+
+def _show_fields() -> None:
+    """What --set can change, below the help of a command that has it."""
+    # Imported here so that the help of other commands answers at once.
+    from arrive.commands.settings import print_config
+
+    print()
+    print_config()
 
 
 def _imports(words: list[str]) -> tuple[list[str], list[str]]:

@@ -164,6 +164,7 @@ def parted(hint: Any) -> tuple[Any, Range]:
 def rows(config: Any, where: str = "") -> Iterator[Row]:
     """Every field of a configuration, with its value there."""
     words = documentation(type(config))
+    meanings = {row.name: row.metadata.get("meaning", "") for row in dataclasses.fields(config)}
     for name, hint in hints_of(type(config)).items():
         value = getattr(config, name)
         if not dataclasses.is_dataclass(value):
@@ -172,8 +173,9 @@ def rows(config: Any, where: str = "") -> Iterator[Row]:
             continue
         for row in rows(value, f"{where}{name}."):
             if row.path == f"{where}{name}.{getattr(value, 'MAIN', '')}":
-                row = row._replace(meaning=f"{words.get(name, '')} {row.meaning}".strip())
-                row = row._replace(unit=_unit(row.meaning))
+                term = words.get(name, "")
+                unit = _unit(f"{term} {row.meaning}")
+                row = row._replace(unit=unit, meaning=f"{term or meanings.get(name, '')} {row.meaning}".strip())
             yield row
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from arrive.commands.settings import print_config
 from arrive.errors import unknown_name
 from arrive.policies import SHIPPED, TRAINED, trained_names
 from arrive.presets import PRESETS
@@ -17,6 +18,10 @@ from arrive.terrain import FAMILIES
 
 if TYPE_CHECKING:
     from arrive.commands.options import List
+
+
+CONFIG = "config"
+"""What lists the fields of a configuration instead."""
 
 
 def list_names(command: List) -> None:
@@ -33,8 +38,11 @@ def list_names(command: List) -> None:
         },
         "policies": SHIPPED | dict.fromkeys(trained_names(), f"a run in {TRAINED.name}/ of this checkout"),
     }
+    if command.what == CONFIG:
+        print_config()
+        return
     if command.what is not None and command.what not in names:
-        raise unknown_name("list", command.what, names)
+        raise unknown_name("list", command.what, [*names, CONFIG])
     for kind in [command.what] if command.what else names:
         table = Table(title=kind, title_justify="left", show_header=False, box=None)
         for name, description in names[kind].items():

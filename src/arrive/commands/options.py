@@ -40,7 +40,8 @@ class Train:
     out: Path | None = None
     """Folder of the run; one under runs/ by default."""
     set: tuple[str, ...] = ()
-    """Changes to the configuration as PATH=VALUE, e.g. ppo.gamma=0.99 task.rewards.stall_cost=-2."""
+    """Changes to the configuration as PATH=VALUE, e.g. ppo.gamma=0.99 task.rewards.stall_cost=-2; `arrive list config`
+    has all fields."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ class Bench:
     start_from: Path | None = None
     """Run folder whose policy moves the robots; without it they fall."""
     set: tuple[str, ...] = ()
-    """Changes to the configuration as PATH=VALUE, e.g. ppo.hidden=[512,256,128]."""
+    """Changes to the configuration as PATH=VALUE, e.g. ppo.hidden=[64,64]; `arrive list config` has all fields."""
     deployment: bool = False
     """Measure the control step on a robot instead: its latency on one core and its memory."""
     policy: tuple[Path, ...] = ()
@@ -259,7 +260,8 @@ class Bench:
 
 @dataclass(frozen=True)
 class List:
-    """Name the terrains, presets, robots, tasks, rewards and shipped policies."""
+    """Name the terrains, presets, robots, tasks, rewards and shipped policies, or every field of a configuration."""
 
     what: tyro.conf.Positional[str | None] = field(default=None)
-    """`terrains`, `presets`, `robots`, `tasks`, `rewards` or `policies`; everything by default."""
+    """`terrains`, `presets`, `robots`, `tasks`, `rewards` or `policies`, all of these by default; or `config`: every
+    field with its unit, default and range."""

@@ -72,7 +72,8 @@ class Stall(Cost):
 def term(function: Callable[..., Tensor], config: Reward | Cost | None = None) -> Any:
     """A field of a table of rewards: the function that computes the term, and its parameters where it has some."""
     default = config or (Cost() if function.__name__.endswith("_cost") else Reward())
-    return field(default=default, metadata={"function": function})
+    meaning = (function.__doc__ or "").strip().splitlines()[0]
+    return field(default=default, metadata={"function": function, "meaning": meaning})
 
 
 def distance_to_target(state: State, command: Command) -> Tensor:

@@ -1,0 +1,46 @@
+"""`arrive list config`: every field of a configuration with its unit, default and range."""
+
+import json
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+from arrive.fields import Row, rows
+from arrive.recipe import DEFAULT_PRESET, make_config
+from arrive.task.registry import TASKS
+from arrive.terrain import parse_families
+
+WIDTH = 120
+TASK = "task."
+
+
+def print_config() -> None:
+    """Print every field: those of all tasks first, then each task's own."""
+    print(f"Fields for --set PATH=VALUE, with the defaults of the preset {DEFAULT_PRESET}.")
+    print("Of a term with several parameters a number alone is its weight, or its noise.\n")
+    for heading, fields in sections():
+        print(heading)
+        for row in fields:
+            print(_described(row))
+        print()
+
+
+def sections() -> Iterator[tuple[str, list[Row]]]:
+    """A heading and rows: of all tasks together, then of each task."""
+    for index, name in enumerate(TASKS):
+        everything = list(rows(make_config(parse_families("flat"), task=name)))
+        if index == 0:
+            yield "whatever the task:", [row for row in everything if not row.path.startswith(TASK)]
+        yield f"with --task {name}:", [row for row in everything if row.path.startswith(TASK)]
+
+
+def _described(row: Row) -> str:
+    unit, limits = f" [{row.unit}]" if row.unit else "", f" ({row.range})" if row.range else ""
+    head = f"  {row.path} = {_written(row.value)}{unit}{limits}"
+    indent = " " * 6
+    return "\n".join([head, *textwrap.wrap(row.meaning, WIDTH, initial_indent=indent, subsequent_indent=indent)])
+
+
+def _written(value: Any) -> str:
+    """A value as --set takes it."""
+    return value if isinstance(value, str) else json.dumps(value)
