@@ -362,5 +362,7 @@ def test_time_constants_that_mujoco_would_raise_silently_are_refused():
         check(PhysicsConfig(timestep_s=0.01))
     check(PhysicsConfig(timestep_s=0.01, contact_time_s=0.02))
     tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
+    with pytest.raises(ArriveError, match="contact_time_s"):
+        compile_world(ROBOT, tile, PhysicsConfig(timestep_s=0.01))
     with pytest.raises(ArriveError, match=r"limit of joint LF_HAA has a time constant of 0.02 s.*timestep_s to 0.01"):
         compile_world(ROBOT, tile, PhysicsConfig(timestep_s=0.02, contact_time_s=0.04))

@@ -8,7 +8,7 @@ import mujoco
 from arrive.actuation.clip import MotorClip
 from arrive.actuation.motor import MotorKind
 from arrive.errors import ArriveError
-from arrive.fields import Count, NotNegative, Positive, Range, Rule
+from arrive.fields import Count, NotNegative, Positive, Range, Rule, check
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
@@ -78,13 +78,14 @@ class PhysicsConfig:
 def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     """Write the solver settings into a spec.
 
-    The Jacobian stays dense: a robot has 18 degrees of freedom, and MuJoCo 4.0.0 factorises wrongly where the
-    constraint Jacobian is sparse. Searching for islands is left out: a robot is one. A diverged simulation is not
-    silently put back to its start: the environment must see it.
+    The Jacobian stays dense: a robot has few degrees of freedom (ANYmal C: 18), and MuJoCo 4.0.0 factorises wrongly
+    where the constraint Jacobian is sparse. Searching for islands is left out: a robot is one. A diverged simulation is
+    not silently put back to its start: the environment must see it.
 
     Raises:
-        ArriveError: MuJoCo would silently raise the time constant of a joint's limit.
+        ArriveError: a setting is out of its range, or MuJoCo would silently raise the time constant of a joint's limit.
     """
+    check(config)
     option = spec.option
     option.timestep = config.timestep_s
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
