@@ -89,6 +89,8 @@ def test_the_guides_terrain_and_robot_train_and_export(tmp_path, capsys):
     assert "a ditch to walk through (depth 0.02 to 0.4 m)" in capsys.readouterr().out
 
     forget()
+    assert "unknown robot 'pup'" in (message := refused(capsys, "train", "flat", "--robot", "pup"))
+    assert "one of your own comes with --import FILE.py" in message
     go_on = ["train", "ditch,flat", "--resume", "run", "--iterations", "2", "--threads", "1"]
     assert "made with the module 'pup': add --import" in refused(capsys, *go_on)
     assert "made with the module 'pup': add --import" in refused(capsys, "export", "run")

@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, unknown_name
 
 Thing = TypeVar("Thing")
 
@@ -18,3 +18,14 @@ def add(kind: str, things: dict[str, Thing], name: str, thing: Thing) -> None:
     if name in things:
         raise ArriveError(f"there is a {kind} {name!r} already: choose another name")
     things[name] = thing
+
+
+def get(kind: str, things: dict[str, Thing], name: str) -> Thing:
+    """The thing of that name.
+
+    Raises:
+        ArriveError: there is none; the message lists the valid names.
+    """
+    if name not in things:
+        raise ArriveError(f"{unknown_name(kind, name, things)}; one of your own comes with --import FILE.py")
+    return things[name]

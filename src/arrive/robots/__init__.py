@@ -1,7 +1,6 @@
 """Robots by name; a new one is a module beside this file and a line in `ROBOTS`."""
 
-from arrive.errors import unknown_name
-from arrive.registry import add
+from arrive.registry import add, get
 from arrive.robots.anymal_c import ANYMAL_C
 from arrive.robots.check import check_model
 from arrive.robots.robot import Robot
@@ -12,9 +11,7 @@ ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (ANYMAL_C, GO2)}
 
 def get_robot(name: str) -> Robot:
     """The registered robot called `name`; raises `ArriveError` naming the valid ones if there is none."""
-    if name not in ROBOTS:
-        raise unknown_name("robot", name, ROBOTS)
-    return ROBOTS[name]
+    return get("robot", ROBOTS, name)
 
 
 def register_robot(robot: Robot) -> None:

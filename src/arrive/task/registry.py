@@ -1,7 +1,6 @@
 """Tasks by name; a new task is one module and one line here."""
 
-from arrive.errors import unknown_name
-from arrive.registry import add
+from arrive.registry import add, get
 from arrive.task.continuous import ContinuousPositionTask
 from arrive.task.final import FinalPositionTask
 from arrive.task.task import Task, TaskConfig
@@ -28,9 +27,7 @@ def get_task(name: str) -> type[Task]:
     Raises:
         ArriveError: no such task; the message lists them.
     """
-    if name not in TASKS:
-        raise unknown_name("task", name, TASKS)
-    return TASKS[name]
+    return get("task", TASKS, name)
 
 
 for built_in in (FinalPositionTask, ContinuousPositionTask, VelocityTask):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from arrive.errors import ArriveError, unknown_name
-from arrive.registry import add
+from arrive.errors import ArriveError
+from arrive.registry import add, get
 from arrive.terrain.build import build_tile
 from arrive.terrain.family import Family, Layout
 from arrive.terrain.flat import FLAT
@@ -49,9 +49,7 @@ def register_terrain(family: Family) -> None:
 
 def get_family(name: str) -> Family:
     """The family of this name; an unknown name raises an error that lists the valid ones."""
-    if name not in FAMILIES:
-        raise unknown_name("terrain", name, FAMILIES)
-    return FAMILIES[name]
+    return get("terrain", FAMILIES, name)
 
 
 def parse_families(names: str) -> tuple[Family, ...]:
