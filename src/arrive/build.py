@@ -8,13 +8,14 @@ from torch import Tensor
 
 from arrive.config import Config, check
 from arrive.env import ArriveEnv
+from arrive.memory import check_robots, check_worlds
 from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.physics.pool import Spread, TileSet, build_pool
 from arrive.robots import get_robot
 from arrive.task.registry import get_task
 from arrive.task.task import Cruise, Setting, Trial
-from arrive.terrain import Layout, get_family
+from arrive.terrain import Family, Layout, get_family
 from arrive.terrain.levels import level_values
 
 
@@ -42,6 +43,7 @@ def build_env(
     threads: int = 0,
     progress: Progress = lambda done, total: None,
     device: torch.device | str | None = None,
+    learning: bool = False,
 ) -> ArriveEnv:
     """Build tiles, worlds, physics, task and environment.
 
@@ -50,14 +52,16 @@ def build_env(
         progress: told worlds compiled so far and their number.
         device: where the robots live: the CPU or a GPU (see `choose_device`); by default where the placement's
             assignment is, or else the CPU.
+        learning: whether networks are going to be trained on what the robots do, for which room must be left.
 
     Raises:
-        ArriveError: the configuration names something unknown or asks for nothing.
+        ArriveError: the configuration names something unknown, asks for nothing, or needs more memory than is free.
     """
     check(config)
     network = motor_network(config.physics)  # before the worlds, so that a bad file is told at once
     robot = get_robot(config.robot)
     families = tuple(get_family(name) for name in config.terrain.families)
+    _check_memory(config, families, placement.values, learning)
     values = placement.values or tuple(level_values(family, config.terrain.levels) for family in families)
     seed = config.seed + placement.seed_offset
     if device is None:
@@ -71,3 +75,15 @@ def build_env(
     setting = Setting(config.num_envs, config.physics.control_dt, pool.rasters, generator)
     task = get_task(config.task.name)(config.task, setting, placement.trial)
     return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)
+
+
+def _check_memory(
+    config: Config, families: tuple[Family, ...], values: tuple[tuple[float, ...], ...] | None, learning: bool
+) -> None:
+    """Refuse what does not fit, before anything of it is built."""
+    variants = config.terrain.variants
+    levels = [len(own) for own in values] if values else [config.terrain.levels] * len(families)
+    worlds = variants * sum(levels)
+    tiles = sum(count * (variants if family.random else 1) for family, count in zip(families, levels, strict=True))
+    check_worlds(worlds, tiles)
+    check_robots(config, worlds, tiles, learning)

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from arrive.commands.actuator import Actuator
+from arrive.commands.limits import check_limits
 from arrive.commands.options import (
     Bench,
     Drive,
@@ -64,6 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
             _show_fields()
         raise
     try:
+        check_limits(command)
         for source in imports:
             import_module(source)
         import_packages()

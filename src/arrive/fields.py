@@ -275,7 +275,7 @@ def _likeness(path: str, known: str) -> float:
 def _parse(text: str) -> Any:
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # no JSON, a number of thousands of digits, or nested without end
         return {"True": True, "False": False}.get(text, text)
 
 

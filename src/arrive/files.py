@@ -2,6 +2,7 @@
 
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ from arrive.errors import ArriveError
 
 TEMPORARY = ".tmp"
 """Part of the names of files that are not complete yet: `.NAME.RANDOM.tmp` and the suffix of NAME."""
+LARGEST_FILE = 2**32
+"""Larger ones are refused instead of being read into memory [bytes]."""
 
 
 @contextmanager
@@ -74,16 +77,44 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
-def read_text(path: Path) -> str:
+def check_readable(path: Path) -> None:
+    """Make sure that a path leads to a file that can be read to its end: no device, no pipe, nothing without limits.
+
+    Raises:
+        ArriveError: it does not.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        raise ArriveError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+        raise ArriveError(f"cannot read {path}: it is {kind}, no file")
+    if status.st_size > LARGEST_FILE:
+        raise ArriveError(
+            f"cannot read {path}: its {status.st_size / 1e9:,.1f} GB are more than any file of arrive has"
+        )
+
+
+def read_bytes(path: Path) -> bytes:
+    """A file's content; see `check_readable`."""
+    check_readable(path)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ArriveError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def read_text(path: Path, encoding: str = "utf-8") -> str:
     """A UTF-8 file's text.
 
     Raises:
         ArriveError: there is none, or it is no text.
     """
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ArriveError(f"cannot read {path}: {_reason(error)}") from error
+        return read_bytes(path).decode(encoding)
+    except UnicodeDecodeError as error:
+        raise ArriveError(f"cannot read {path}: it is not UTF-8 text") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -99,10 +130,6 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ArriveError(f"cannot read {path}: it must hold an object, {{...}}, not {type(content).__name__}")
     return content
-
-
-def _reason(error: OSError | UnicodeDecodeError) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
 
 
 def remove_unfinished(folder: Path) -> None:

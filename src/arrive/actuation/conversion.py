@@ -1,10 +1,10 @@
 """Networks of others, brought into the form of this software."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from arrive.actuation.arrays import as_numbers, read_arrays
 from arrive.actuation.network import ActuatorNetwork
 from arrive.errors import ArriveError
 
@@ -17,11 +17,7 @@ def read_lstm_arrays(path: Path, period_s: float, data: str) -> ActuatorNetwork:
     Raises:
         ArriveError: it cannot be read, or lacks an array, or has one of another shape.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name], dtype=np.float32) for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise ArriveError(f"cannot read {path}: {error}") from error
+    arrays = {name: as_numbers(path, name, value, np.float32) for name, value in read_arrays(path).items()}
     scales = [arrays.pop(name, np.empty(0)).ravel() for name in ("in_scale", "out_scale")]
     if [len(scale) for scale in scales] != [2, 1]:
         raise ArriveError(f"{path}: in_scale must have two values, for error and velocity, and out_scale one")

@@ -164,7 +164,10 @@ def _make_module(config: FitConfig, period_s: float) -> nn.Module:
         return LstmModule(units[0], len(units))
     if not config.taps_s:
         raise ArriveError("--taps-s needs at least one delay")
-    return TapsModule([round(tap / period_s) for tap in config.taps_s], units)
+    steps = [tap / period_s for tap in config.taps_s]
+    if not all(math.isclose(step, round(step), abs_tol=1e-3) for step in steps):
+        raise ArriveError(f"--taps-s must be multiples of the period of {period_s:g} s")
+    return TapsModule([round(step) for step in steps], units)
 
 
 def _scales(trajectories: Sequence[Trajectory]) -> tuple[float, float, float]:

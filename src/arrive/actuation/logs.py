@@ -3,14 +3,15 @@
 import csv
 import io
 import math
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from arrive.actuation.arrays import as_numbers, read_arrays
 from arrive.errors import ArriveError
+from arrive.files import read_text
 
 COLUMNS = ("time", "target", "position", "velocity", "torque")
 """Seconds, radians, radians, rad/s and N m of the joint."""
@@ -73,10 +74,9 @@ class _Columns:
 def _read_csv(path: Path) -> dict[str, _Columns]:
     """Columns per joint; rows are counted as an editor counts lines, the header being the first."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        reader = iter(list(csv.reader(io.StringIO(read_text(path, "utf-8-sig")))))
+    except csv.Error as error:
         raise ArriveError(f"cannot read {path}: {error}") from error
-    reader = csv.reader(io.StringIO(text))
     header = [name.strip() for name in next(reader, [])]
     _need_columns(path, header)
     places = {name: header.index(name) for name in COLUMNS}
@@ -100,11 +100,8 @@ def _read_csv(path: Path) -> dict[str, _Columns]:
 
 def _read_npz(path: Path) -> dict[str, _Columns]:
     """Columns per joint; rows are indices, the first being 0."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name], dtype=np.float64) for name in file.files if name in COLUMNS}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise ArriveError(f"cannot read {path}: {error}") from error
+    found = read_arrays(path)
+    arrays = {name: as_numbers(path, name, found[name], np.float64) for name in COLUMNS if name in found}
     _need_columns(path, list(arrays))
     time = arrays.pop("time")
     shape = arrays["target"].shape

@@ -83,7 +83,7 @@ def bench_throughput(
         medians by the names in `RATES`, their quartiles, and what was measured, as JSON data.
     """
     before = _memory_kib()
-    env = build_env(config, threads=threads)
+    env = build_env(config, threads=threads, learning=True)
     with tempfile.TemporaryDirectory() as folder:
         trainer = Trainer(config, env, Path(folder))
         if start_from is not None:

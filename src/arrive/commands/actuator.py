@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from arrive.commands.limits import COUNT, INDEX, POSITIVE, SEED
 from arrive.errors import ArriveError
+from arrive.fields import Range
+
+PERIOD = Range(1e-5, 0.1)
+"""Of a physics step [s]."""
+BYTES_PER_SAMPLE = 80
+"""Of a log while it is made: target, load, position, velocity and torque, and copies of them."""
 
 
 @dataclass(frozen=True)
@@ -18,13 +26,13 @@ class Record:
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive_log.npz")
     """File to write, .npz or .csv."""
-    joints: int = 40
+    joints: Annotated[int, COUNT] = 40
     """Joints side by side, each with a load of its own."""
-    seconds: float = 20.0
+    seconds: Annotated[float, POSITIVE] = 20.0
     """Length of the log [s]."""
-    period_s: float = 0.005
+    period_s: Annotated[float, PERIOD] = 0.005
     """Time between samples, a multiple of 0.2 ms [s]."""
-    seed: int = 1
+    seed: Annotated[int, SEED] = 1
     """Seed of targets and loads."""
 
 
@@ -36,25 +44,25 @@ class Fit:
     """CSV or NPZ files with time [s], target, position [rad], velocity [rad/s] and torque [N m]."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
     """File to write; a picture of predicted against measured torque goes beside it."""
-    period_s: float = 0.005
+    period_s: Annotated[float, PERIOD] = 0.005
     """Physics step of the simulation that will run it; a multiple of the logs' period [s]."""
     architecture: Literal["lstm", "taps"] = "lstm"
     """`lstm`: legged_gym's; `taps`: delayed inputs and softsign units, Hwangbo et al. 2019."""
-    units: tuple[int, ...] = ()
+    units: Annotated[tuple[int, ...], Range(1, 1024)] = ()
     """Units of each hidden layer; 8 8 for `lstm` and 32 32 32 for `taps` by default."""
-    taps_s: tuple[float, ...] = (0.0, 0.01, 0.02)
+    taps_s: Annotated[tuple[float, ...], Range(0, 1)] = (0.0, 0.01, 0.02)
     """Delays of the inputs of `taps`, multiples of the period [s]."""
-    epochs: int = 150
+    epochs: Annotated[int, COUNT] = 150
     """At most so many passes over the data."""
-    patience: int = 20
+    patience: Annotated[int, COUNT] = 20
     """Stops after so many passes without a smaller error on the trajectories kept for that."""
-    learning_rate: float = 5e-3
+    learning_rate: Annotated[float, POSITIVE] = 5e-3
     """First learning rate; it falls along a cosine."""
     data: str = ""
     """What the logs are, for whoever reads the file; their names by default."""
-    seed: int = 1
+    seed: Annotated[int, SEED] = 1
     """Seed of first weights and order."""
-    threads: int = 0
+    threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
 
 
@@ -72,7 +80,7 @@ class Show:
     """Whose motor is drawn for comparison and whose limits cut."""
     joint: str | None = None
     """Of the robot's joints the one whose motor that is; the first by default."""
-    inertia: float = 0.2
+    inertia: Annotated[float, POSITIVE] = 0.2
     """Of the load that the step turns, the rotor included [kg m^2]."""
 
 
@@ -84,7 +92,7 @@ class Import:
     """NPZ file with `lstm.*`, `linear.*`, `in_scale` and `out_scale`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
     """File to write."""
-    period_s: float = 0.005
+    period_s: Annotated[float, PERIOD] = 0.005
     """Time between two calls of the network [s]."""
     data: str = ""
     """What it is, its authors and licence; the file's name by default."""
@@ -117,15 +125,15 @@ def record(options: Record) -> None:
     from arrive.actuation.excitation import excite, random_load
     from arrive.actuation.series_elastic import FINE_STEP_S, SeriesElasticDrive, simulate
     from arrive.files import whole
+    from arrive.memory import check_room
 
-    steps = round(options.seconds / options.period_s) if options.period_s > 0 else 0
-    fine = options.period_s / FINE_STEP_S
-    if options.joints < 1 or steps < 2 or abs(fine - round(fine)) > 1e-6:
-        raise ArriveError(
-            f"--joints must be at least 1, --period-s a multiple of {FINE_STEP_S:g}, and --seconds at least two periods"
-        )
+    samples, fine = options.seconds / options.period_s, options.period_s / FINE_STEP_S
+    if not (samples >= 2 and round(fine) >= 1 and math.isclose(fine, round(fine), rel_tol=1e-6)):
+        raise ArriveError(f"--period-s must be a multiple of {FINE_STEP_S:g}, and --seconds at least two periods")
+    steps = round(samples)
     if options.out.suffix not in (".npz", ".csv"):
         raise ArriveError(f"{options.out}: a log is an .npz or a .csv file")
+    check_room(options.joints * steps, BYTES_PER_SAMPLE, "samples", "--joints or --seconds")
     rng = np.random.default_rng(options.seed)
     targets = excite(rng, steps, options.joints, options.period_s)
     load = random_load(rng, steps, options.joints, options.period_s)
@@ -159,9 +167,6 @@ def fit(options: Fit) -> None:
     from arrive.actuation.pictures import draw_fit
     from arrive.commands.threads import use_threads
 
-    for name in ("epochs", "patience", "period_s", "learning_rate"):
-        if not getattr(options, name) > 0:
-            raise ArriveError(f"--{name.replace('_', '-')} must be positive, not {getattr(options, name)}")
     if not options.logs:
         raise ArriveError("name at least one log; `arrive actuator record` makes one of a simulated drive")
     use_threads(options.threads)
@@ -204,8 +209,6 @@ def show(options: Show) -> None:
 
     if not options.files:
         raise ArriveError("name at least one network; `arrive actuator fit` makes one")
-    if not options.inertia > 0:
-        raise ArriveError(f"--inertia must be positive, not {options.inertia}")
     motor = get_robot(options.robot).motor_of(options.joint)
     networks = {path: read_network(path) for path in options.files}
     drives = [network_drive(path.stem, network, options.clip) for path, network in networks.items()]

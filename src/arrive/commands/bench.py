@@ -41,8 +41,6 @@ def bench(command: Bench) -> None:
 
 
 def _throughput(command: Bench) -> dict[str, Any]:
-    if command.rounds < 1:
-        raise ArriveError(f"--rounds must be at least 1, not {command.rounds}")
     if command.policy:
         raise ArriveError("--policy names what --deployment measures; --start-from names the run that moves the robots")
     threads = use_threads(command.threads)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from arrive.commands.export import need_onnxruntime
 from arrive.config import saved_config
-from arrive.errors import ArriveError
 
 if TYPE_CHECKING:
     from arrive.commands.options import Drive
@@ -27,8 +26,6 @@ def run_drive(command: Drive) -> None:
     from arrive.simulation import SimulatedRobot, continued
     from arrive.terrain.ground import ground_of
 
-    if command.seconds is not None and not 0.0 < command.seconds < math.inf:
-        raise ArriveError(f"--seconds must be positive, not {command.seconds}")
     policy = open_policy(command.policy)
     config = saved_config(policy.meta["training"]["config"], policy.path)
     tile = ground_of(command.terrain, command.level, config.terrain.levels).build(

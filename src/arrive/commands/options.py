@@ -6,6 +6,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from arrive.commands.limits import COUNT, INDEX, POSITIVE, SEED
+from arrive.fields import Range
+
 
 @dataclass(frozen=True)
 class Train:
@@ -19,17 +22,17 @@ class Train:
     """Named robot, see `arrive list`; `anymal_c` by default."""
     task: str | None = None
     """Named task, see `arrive list`; the preset's own by default."""
-    minutes: float | None = None
+    minutes: Annotated[float | None, POSITIVE] = None
     """Training time since the run began; 40 unless samples or iterations are given [min]."""
     samples: str | None = None
     """Policy steps of all robots since the run began, e.g. 40M; repeatable where minutes are not."""
-    iterations: int | None = None
+    iterations: Annotated[int | None, COUNT] = None
     """Training iterations since the run began."""
-    num_envs: int | None = None
+    num_envs: Annotated[int | None, COUNT] = None
     """Robots simulated side by side; the preset's own number by default."""
-    seed: int | None = None
+    seed: Annotated[int | None, SEED] = None
     """Seed of networks, terrain and everything random; 1 by default."""
-    threads: int = 0
+    threads: Annotated[int, INDEX] = 0
     """CPU threads for physics and learning; 0 takes every CPU."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to train; `auto` takes an NVIDIA GPU where one can be used."""
@@ -64,7 +67,7 @@ class Eval:
     """One of the policy's own levels."""
     value: float | None = None
     """Value of the only terrain's parameter, in its unit."""
-    levels: int | None = None
+    levels: Annotated[int | None, Range(1, 1000)] = None
     """Number of evenly spaced levels, for `difficulty`; a table per terrain by default."""
     target_distance: str | None = None
     """Distances of targets, joined by commas, for `reach`; 0.5,1,2,3,4,5,6 by default [m]."""
@@ -76,11 +79,11 @@ class Eval:
     layout: Literal["training", "evaluation"] | None = None
     """`training`: terrain all around the robot, the default for `arrival`; `evaluation`: 4 m of it ahead, the default
     for `reach` and always so for `difficulty`."""
-    episodes: int = 500
+    episodes: Annotated[int, COUNT] = 500
     """Episodes per row of a table."""
-    seed: int = 1
+    seed: Annotated[int, SEED] = 1
     """Seed of terrain and episodes, apart from those of training."""
-    threads: int = 0
+    threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to simulate; `auto` takes an NVIDIA GPU where one can be used."""
@@ -131,9 +134,9 @@ class Energy:
     """How far every robot walks [m]."""
     robots: int = 50
     """Robots per speed."""
-    seed: int = 1
+    seed: Annotated[int, SEED] = 1
     """Seed of friction, payload, starts and noise."""
-    threads: int = 0
+    threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
     json: Path = Path("energy.json")
     """File for the result; the picture has the same name and ends in .png."""
@@ -158,9 +161,9 @@ class Gait:
     """How long they are looked at, after 5 s of walking [s]."""
     robots: int = 20
     """Robots per speed and direction."""
-    seed: int = 1
+    seed: Annotated[int, SEED] = 1
     """Seed of friction, payload, starts and noise."""
-    threads: int = 0
+    threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
     json: Path = Path("gait.json")
     """File for the result; the picture has the same name and ends in .png."""
@@ -178,13 +181,13 @@ class Drive:
     """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]."""
     level: int | None = None
     """One of the policy's own levels, as in `arrive eval`; 0 by default."""
-    seconds: float | None = None
+    seconds: Annotated[float | None, POSITIVE] = None
     """How long; to the end of the script, or until Ctrl-C with a gamepad, by default [s]."""
     script: Path | None = None
     """CSV file with the columns time_s, forward, left, heading_rad to drive by, as fast as the machine can."""
     log: Path | None = None
     """File (.npz) for all inputs and commands of the controller, which can be replayed."""
-    seed: int = 1
+    seed: Annotated[int, SEED] = 1
     """Seed of random terrain."""
 
 
@@ -201,12 +204,12 @@ class Play:
     """One of the policy's own levels, as in `arrive eval`."""
     layout: Literal["evaluation", "training"] = "evaluation"
     """`evaluation`: the terrain lies between the robot and its target; `training`: all around the robot."""
-    port: int = 8080
+    port: Annotated[int, Range(1, 65535)] = 8080
     """Port of the page."""
     host: str = "127.0.0.1"
     """Address that the page is served on. Beyond this machine (0.0.0.0 for all its addresses) the page asks for the
     token in the address that is printed."""
-    seconds: float | None = None
+    seconds: Annotated[float | None, POSITIVE] = None
     """Stop after this time; with Ctrl-C by default [s]."""
 
 
@@ -240,11 +243,11 @@ class Bench:
     """Named robot, see `arrive list`; `anymal_c` by default."""
     task: str | None = None
     """Named task, see `arrive list`; the preset's own by default."""
-    num_envs: int | None = None
+    num_envs: Annotated[int | None, COUNT] = None
     """Robots simulated side by side; the preset's own number by default."""
-    threads: int = 0
+    threads: Annotated[int, INDEX] = 0
     """CPU threads for physics and learning; 0 takes every CPU."""
-    rounds: int = 7
+    rounds: Annotated[int, COUNT] = 7
     """Repetitions of every measurement."""
     start_from: Path | None = None
     """Run folder whose policy moves the robots; without it they fall."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 import threading
 from typing import TYPE_CHECKING
 
@@ -18,8 +17,6 @@ def run_play(command: Play) -> None:
     for package in ("viser", "onnxruntime"):
         if importlib.util.find_spec(package) is None:
             raise ArriveError(f"this needs {package}: pip install 'arrive[play]'")
-    if command.seconds is not None and not 0.0 < command.seconds < math.inf:
-        raise ArriveError(f"--seconds must be positive and finite, not {command.seconds}")
     from arrive.play.playground import Playground
     from arrive.play.server import open_server
     from arrive.play.session import Session

@@ -107,6 +107,7 @@ def _build(run: _Run) -> ArriveEnv:
             run.threads,
             lambda i, n: bar.update(worlds, completed=i, total=n),
             run.device,
+            learning=True,
         )
 
 
@@ -148,9 +149,6 @@ def _budget(command: Train) -> Budget:
     """Minutes, iterations and samples; whichever is spent first ends the run."""
     samples = None if command.samples is None else _parse_samples(command.samples)
     budget = {"minutes": command.minutes, "iterations": command.iterations, "samples": samples}
-    for name, value in budget.items():
-        if value is not None and not 0 < value < math.inf:
-            raise ArriveError(f"--{name} must be positive, not {value}")
     return Budget(**budget) if any(budget.values()) else Budget(DEFAULT_MINUTES)
 
 
@@ -158,9 +156,12 @@ def _parse_samples(text: str) -> float:
     """The number that 40M, 500k or 1e6 stands for."""
     factor = {"k": 1e3, "M": 1e6, "G": 1e9}.get(text[-1:], 1.0)
     try:
-        return float(text[:-1] if factor > 1.0 else text) * factor
+        samples = float(text[:-1] if factor > 1.0 else text) * factor
     except ValueError:
-        raise ArriveError(f"--samples must be a number such as 40M, 500k or 1e6, not {text!r}") from None
+        samples = math.nan
+    if not 0.0 < samples < math.inf:
+        raise ArriveError(f"--samples must be a positive number such as 40M, 500k or 1e6, not {text!r}")
+    return samples
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:

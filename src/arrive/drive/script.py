@@ -1,6 +1,7 @@
 """Sticks written down beforehand, in place of a gamepad."""
 
 import csv
+import io
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import numpy as np
 
 from arrive.deployment import Joystick
 from arrive.errors import ArriveError
+from arrive.files import read_text
 
 COLUMNS = ("time_s", "forward", "left", "heading_rad")
 HOLD_S = (0.3, 2.0)
@@ -48,11 +50,11 @@ def read_script(path: Path) -> Script:
     Raises:
         ArriveError: missing, without these columns, or a row that is not numbers in ascending time.
     """
+    text = read_text(path)
     try:
-        with path.open(newline="") as file:
-            reader = csv.DictReader(file)
-            rows, columns = list(reader), tuple(reader.fieldnames or ())
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        rows, columns = list(reader), tuple(reader.fieldnames or ())
+    except csv.Error as error:
         raise ArriveError(f"cannot read {path}: {error}") from error
     if columns != COLUMNS:
         raise ArriveError(f"{path} must begin with the line {','.join(COLUMNS)}, not {','.join(columns)!r}")

@@ -17,6 +17,7 @@ from arrive.evaluation.episode import Episode
 from arrive.evaluation.playing import Pilot, Played, Progress, episode, play
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
+from arrive.memory import check_room
 from arrive.task.task import Trial
 from arrive.terrain import Family, Layout, parse_families
 from arrive.terrain.ground import ground_of
@@ -24,6 +25,8 @@ from arrive.terrain.levels import EVALUATION_SEED_OFFSET, level_values
 
 MAX_ENVS = 2000
 """Robots simulated at a time."""
+EPISODE_BYTES = 12_000
+"""What is kept of an episode of 8 s: where it led at each step, and how it went."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +189,7 @@ def evaluate(
     """
     if episodes < 1:
         raise ArriveError(f"episodes must be at least 1, not {episodes}")
+    check_room(len(cells) * episodes, EPISODE_BYTES, "episodes", "--episodes")
     cell_of_episode = torch.arange(len(cells)).repeat_interleave(episodes)
     parts = cell_of_episode.split(MAX_ENVS)
     played: list[Played] = []

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
-from arrive.files import write_bytes
+from arrive.files import read_bytes, write_bytes
 
 FORMAT = 2
 """Version of the files' layout."""
@@ -102,12 +103,10 @@ def load_checkpoint(path: Path) -> tuple[Origin, dict[str, Any]]:
 
 def _load(path: Path) -> tuple[Origin, dict[str, Any]]:
     """A file's origin and all that is in it."""
-    try:
-        data = Path(path).read_bytes()
-    except FileNotFoundError as error:
-        raise ArriveError(f"there is no file {path}") from error
-    except OSError as error:
-        raise ArriveError(f"cannot read {path}: {error.strerror or error}") from error
+    path = Path(path)
+    if not os.path.lexists(path):
+        raise ArriveError(f"there is no file {path}")
+    data = read_bytes(path)
     if not is_sealed(data):
         raise ArriveError(
             f"cannot read {path}: it is truncated, corrupt or not a checkpoint of arrive (its digest does not match). "
