@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median, quantiles
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -80,7 +80,7 @@ def bench_throughput(
         start_from: run whose networks act; fresh ones let the robots fall.
 
     Returns:
-        medians by the names in `RATES`, their quartiles, and what was measured, as JSON data.
+        medians by the names in `RATES`, the least and the most of their rounds, and what was measured, as JSON data.
     """
     before = _memory_kib()
     env = build_env(config, threads=threads, learning=True)
@@ -101,7 +101,7 @@ def bench_throughput(
     return {
         **rates,
         "env_over_engine": median(bench.ratios),
-        "quartiles": {name: _quartiles(values) for name, values in bench.rates.items()},
+        "ranges": {name: [min(values), max(values)] for name, values in bench.rates.items()},
         "share": _shares(rates),
         "memory_per_env_kib": memory,
         "num_envs": config.num_envs,
@@ -171,18 +171,16 @@ def _seconds(action: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def _quartiles(values: list[float]) -> list[float]:
-    """The lower and the upper one."""
-    return [min(values), max(values)] if len(values) < 2 else quantiles(values, n=4)[::2]
-
-
 def _shares(rates: dict[str, float]) -> dict[str, float]:
-    """Share of an iteration's time that physics, the rest of the environment, acting, and learning take."""
+    """Share of an iteration's time that physics, the rest of the environment, acting, and learning take.
+
+    What is left between two measurements counts as nothing where another process made the smaller part the longer one.
+    """
     per_sample = {name: 1.0 / rates[name] for name in RATES}
     parts = {
         "physics": per_sample["engine"],
-        "environment": per_sample["env"] - per_sample["engine"],
-        "acting": per_sample["collect"] - per_sample["env"],
+        "environment": max(per_sample["env"] - per_sample["engine"], 0.0),
+        "acting": max(per_sample["collect"] - per_sample["env"], 0.0),
         "learning": per_sample["update_samples_per_s"],
     }
     whole = sum(parts.values())

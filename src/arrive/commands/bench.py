@@ -62,10 +62,10 @@ def _print(result: dict[str, Any]) -> None:
         title=f"{result['num_envs']} environments x {result['num_steps']} steps, {result['threads']} threads, "
         f"networks {'-'.join(map(str, result['networks']))} in {result['precision']}, median of {result['rounds']}"
     )
-    for title in ("samples/s", "median", "quartiles"):
+    for title in ("samples/s", "median", "least to most"):
         table.add_column(title, justify="left" if title == "samples/s" else "right")
     for name in RATES:
-        low, high = result["quartiles"][name]
+        low, high = result["ranges"][name]
         table.add_row(LABELS[name], f"{result[name]:,.0f}", f"{low:,.0f} to {high:,.0f}")
     console = Console()
     console.print(table)
