@@ -1,6 +1,7 @@
 """The command line: `arrive train | eval | report | play | drive | export | verify | bench | actuator | list`."""
 
 import importlib
+import io
 import sys
 from typing import Annotated
 
@@ -56,6 +57,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
+    _show_anything()
     imports, words = _imports(words)
     description = f"{__doc__} {DEBUG} shows tracebacks; {IMPORT} FILE.py adds robots, terrains and more of your own."
     try:
@@ -65,6 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
             _show_fields()
         raise
     try:
+        _check_empty(words)
         check_limits(command)
         for source in imports:
             import_module(source)
@@ -73,7 +76,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             raise
-        print(f"arrive: {_one_line(error)}", file=sys.stderr)
+        print("arrive: " + "\\n".join(_one_line(error).splitlines()), file=sys.stderr)
         sys.exit(1)
 
 
@@ -84,6 +87,24 @@ def _show_fields() -> None:
 
     print()
     print_config()
+
+
+def _show_anything() -> None:
+    """Names of files that are no text, and consoles that know ASCII alone, do not end a command that has worked."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _check_empty(words: list[str]) -> None:
+    """Refuse what a variable that is not set leaves of a path, which would be the present folder.
+
+    Raises:
+        ArriveError: an argument is empty.
+    """
+    for before, word in zip(["arrive", *words], words, strict=False):
+        if not word.partition("=")[2 if word.startswith("--") and "=" in word else 0].strip():
+            raise ArriveError(f"the argument after {before!r} is empty; is a variable not set?")
 
 
 def _imports(words: list[str]) -> tuple[list[str], list[str]]:

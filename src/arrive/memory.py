@@ -1,5 +1,6 @@
 """What a command will need in memory, estimated before anything is built."""
 
+import itertools
 import math
 from pathlib import Path
 
@@ -114,7 +115,7 @@ def robot_bytes(config: Config) -> float:
 def network_bytes(config: Config) -> float:
     """Memory of actor and critic in training."""
     sizes = (observed(config), *config.ppo.hidden, OTHER_TERMS)
-    return NETWORKS * PARAMETER * sum((a + 1) * b for a, b in zip(sizes, sizes[1:], strict=False))
+    return NETWORKS * PARAMETER * sum((a + 1) * b for a, b in itertools.pairwise(sizes))
 
 
 def learning_bytes(config: Config) -> float:

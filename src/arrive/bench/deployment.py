@@ -41,6 +41,8 @@ def bench_deployment(
     """
     if steps < 1:
         raise ArriveError(f"steps must be at least 1, not {steps}")
+    for path in policies:  # before minutes are spent on the first
+        _hidden_sizes(path)
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "random.onnx"
         _export_random(made, hidden, seed)
