@@ -79,6 +79,17 @@ class TestFile:
         assert back.units == network.units
         assert all(np.array_equal(back.weights[name], array) for name, array in network.weights.items())
 
+    def test_every_flipped_bit_is_noticed(self, tmp_path):
+        path = tmp_path / "drive.safetensors"
+        write_network(path, lstm(data="a test"))
+        content = path.read_bytes()
+        for bit in np.random.default_rng(3).choice(8 * len(content), 500, replace=False):
+            damaged = bytearray(content)
+            damaged[bit // 8] ^= 1 << bit % 8
+            path.write_bytes(damaged)
+            with pytest.raises(ArriveError):
+                read_network(path)
+
     @pytest.mark.parametrize(
         ("change", "message"),
         [

@@ -1,7 +1,9 @@
 """Actuator networks as safetensors files: arrays and a description in words and numbers, nothing that can run."""
 
+import hashlib
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,11 +13,13 @@ from safetensors.numpy import save
 
 from arrive.actuation.network import ActuatorNetwork, Architecture
 from arrive.errors import ArriveError, unknown_name
-from arrive.files import whole
+from arrive.files import check_readable, write_bytes
 
 FORMAT = "arrive-actuator-1"
 UNITS = {"position_error": "rad", "velocity": "rad/s", "torque": "N m", "time": "s"}
 """The only units that a file may have; it says them so that one with others is noticed."""
+DIGEST = "sha256"
+"""Of the rest of the metadata and of the arrays."""
 NUMBERS = ("period_s", "error_scale", "velocity_scale", "torque_scale")
 
 
@@ -35,9 +39,9 @@ def write_network(path: Path, network: ActuatorNetwork) -> None:
         "error_nm": network.error_nm,
         **{name: getattr(network, name) for name in NUMBERS},
     }
-    content = save(dict(network.weights), {name: json.dumps(value) for name, value in description.items()})
-    with whole(path) as file:
-        file.write_bytes(content)
+    text = {name: json.dumps(value) for name, value in description.items()}
+    text[DIGEST] = json.dumps(_digest(text, network.weights))
+    write_bytes(path, save(dict(network.weights), text))
 
 
 def read_network(path: Path, period_s: float | None = None) -> ActuatorNetwork:
@@ -66,6 +70,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Description and arrays of a file."""
     if not path.is_file():
         raise ArriveError("no such file; `arrive actuator fit` makes one")
+    check_readable(path)
     try:
         with safe_open(path, framework="numpy") as file:
             text = file.metadata() or {}
@@ -73,9 +78,21 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     except (SafetensorError, OSError, TypeError, ValueError, AttributeError) as error:
         raise ArriveError(f"this is no safetensors file, or a damaged one ({error})") from error
     try:
-        return {name: json.loads(value) for name, value in text.items()}, weights
-    except json.JSONDecodeError as error:
+        description = {name: json.loads(value) for name, value in text.items()}
+    except (ValueError, RecursionError) as error:
         raise ArriveError("its metadata are not those of an actuator network") from error
+    seal = description.pop(DIGEST, None)
+    description["sound"] = seal == _digest({name: value for name, value in text.items() if name != DIGEST}, weights)
+    return description, weights
+
+
+def _digest(text: Mapping[str, str], weights: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of a description and arrays, in hexadecimal."""
+    shapes = {name: [str(array.dtype), array.shape] for name, array in weights.items()}
+    digest = hashlib.sha256(json.dumps([dict(text), shapes], sort_keys=True).encode())
+    for name in sorted(weights):
+        digest.update(np.ascontiguousarray(weights[name]).tobytes())
+    return digest.hexdigest()
 
 
 def _network(description: dict[str, Any], weights: dict[str, np.ndarray]) -> ActuatorNetwork:
@@ -101,4 +118,6 @@ def _network(description: dict[str, Any], weights: dict[str, np.ndarray]) -> Act
         raise ArriveError(f"its metadata have no number where one is needed ({error})") from error
     if list(network.units) != description["hidden_units"]:
         raise ArriveError(f"it says {description['hidden_units']} hidden units and has {list(network.units)}")
+    if not description["sound"]:
+        raise ArriveError("it was changed since it was written, or is of an older version: fit or import it again")
     return network
