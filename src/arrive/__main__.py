@@ -1,11 +1,25 @@
 """The program `arrive`, also on a robot's computer, where the command line's own libraries are missing."""
 
-import importlib.util
-import sys
+from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
+
+leave_at_once()  # before anything else is loaded
+
+import importlib.util  # noqa: E402
+import sys  # noqa: E402
 
 
 def main() -> None:
     """Run a command; of all commands `verify` needs NumPy and onnxruntime alone."""
+    try:
+        _run()
+    except KeyboardInterrupt:
+        print("arrive: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    finally:
+        leave_at_once()  # while libraries end their threads
+
+
+def _run() -> None:
     if importlib.util.find_spec("tyro") is not None:
         from arrive.cli import main as run
 
@@ -13,6 +27,7 @@ def main() -> None:
     elif sys.argv[1:2] == ["verify"]:
         from arrive.deployment.verify import main as verify
 
+        interrupt_again()
         verify(sys.argv[2:])
     else:
         print(

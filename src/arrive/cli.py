@@ -25,6 +25,7 @@ from arrive.commands.options import (
 from arrive.errors import ArriveError
 from arrive.neighbours import wait_considerately
 from arrive.plugins import import_module, import_packages
+from arrive.startup import interrupt_again
 
 DEBUG = "--debug"
 """Option of every command: problems show their traceback."""
@@ -153,7 +154,9 @@ def _run(command: Command) -> None:
         List: ("names", "list_names"),
     }[type(command)]
     # Imported here so that help and misspelt options answer at once.
-    getattr(importlib.import_module(f"arrive.commands.{module}"), function)(command)
+    run = getattr(importlib.import_module(f"arrive.commands.{module}"), function)
+    interrupt_again()
+    run(command)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,110 @@
+"""Ctrl-C at any moment: one line, no traceback, and what was saved stays."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from arrive.learning.checkpoint import load_checkpoint
+from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
+
+PROGRAM = """
+import os, sys
+from arrive.__main__ import main
+os.write(1, b"up")
+main()
+"""
+TINY = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.levels=1", "terrain.variants=1")
+TRAIN = (
+    "train",
+    "flat",
+    "--num-envs",
+    "4",
+    "--threads",
+    "1",
+    "--iterations",
+    "1000000",
+    "--out",
+    "run",
+    "--set",
+    *TINY,
+)
+PATIENCE_S = 300.0
+
+
+def start(folder, *words):
+    """The program, once Python itself has started and come to its first lines: before that it is not ours to handle."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert os.read(process.stdout.fileno(), 2) == b"up"
+    return process
+
+
+def end(process) -> tuple[int, str]:
+    """Press Ctrl-C and wait."""
+    process.send_signal(signal.SIGINT)
+    out, err = (text.decode() for text in process.communicate(timeout=PATIENCE_S))
+    assert "Traceback" not in out + err, err
+    assert "KeyboardInterrupt" not in out + err, err
+    assert "Exception ignored" not in out + err, err
+    return process.returncode, err
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2])
+def test_a_training_that_is_interrupted_at_any_moment(tmp_path, delay_s):
+    process = start(tmp_path, *TRAIN)
+    time.sleep(delay_s)
+    code, err = end(process)
+    if code == 0:  # it was training: the iteration was finished and saved
+        assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")[1]["iteration"] >= 0
+    else:
+        assert code in (1, INTERRUPTED)
+        assert err.startswith("arrive: interrupted")
+        assert err.count("\n") == 1
+        assert not (tmp_path / "run" / "run.lock").exists() or not (tmp_path / "run" / "checkpoint.pt").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("list",), ("eval", "nowhere"), ("verify", "nowhere.onnx"), ("play", "--seconds", "60")],
+    ids=lambda w: w[0],
+)
+@pytest.mark.parametrize("delay_s", [0.0, 0.3, 1.0])
+def test_other_commands_too(tmp_path, words, delay_s):
+    process = start(tmp_path, *words)
+    time.sleep(delay_s)
+    code, err = end(process)
+    assert code in (0, 1, INTERRUPTED)
+    assert err.count("\n") <= 1
+
+
+def test_a_second_ctrl_c_is_one_line_too(tmp_path):
+    """Whenever it comes: while it saves, or while libraries end."""
+    process = start(tmp_path, *TRAIN)
+    deadline = time.monotonic() + PATIENCE_S
+    while not (tmp_path / "run" / "checkpoint.pt").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    code, _ = end(process)
+    assert code in (0, 1, INTERRUPTED)
+    load_checkpoint(tmp_path / "run" / "checkpoint.pt")
+
+
+def test_only_what_startup_has_set_is_set_back():
+    def mine(number, frame):
+        raise AssertionError
+
+    before = signal.signal(signal.SIGINT, mine)
+    try:
+        interrupt_again()
+        assert signal.getsignal(signal.SIGINT) is mine
+        leave_at_once()
+        interrupt_again()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
