@@ -120,9 +120,9 @@ def bad_inputs(folder: Path) -> Values:
 
 
 def bad_outputs(folder: Path) -> Values:
-    """Paths where nothing can be written."""
+    """Paths where nobody can write, not even an administrator."""
     (folder / "file").write_text("in the way")
-    return bad(str(folder), str(folder / "file" / "x"), "/", "/proc/x", "/dev/full", "n" * 300, "d/" * 3000, "/dev")
+    return bad(str(folder), str(folder / "file" / "x"), "/proc/x", "/dev/full", "/dev/full/x", "n" * 300, "d/" * 3000)
 
 
 def draw(samples: list[Sample], count: int, seed: int) -> Iterator[Line]:

@@ -125,7 +125,7 @@ def samples(place) -> list[Sample]:
 
     policy = runs("policy.pt") + files("run/policy.pt") + bad("gapp", "../policies/gap")
     exported = files("policy.onnx") + bad("gapp")
-    out = outputs + good("/dev/null", "一", "\udcff", "a\nb.html", "out.json")
+    out = outputs + good("一", "\udcff", "a\nb.html", "out.json")
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = str(server.getsockname()[1])
     common = {"seed": SEED, "threads": THREADS}
@@ -148,12 +148,14 @@ def samples(place) -> list[Sample]:
     robots = bad("0", "1", "-1", "1000000000", "1.5", "nan", "")
     taps = ["actuator", "fit", "log.npz", "--epochs", "1", "--threads", "1", "--out", "fit.safetensors"]
     return [
-        Sample([*train, "--set", *TINY], amounts | common | build | {"out": outputs, "device": CHOICE,
+        Sample([*train, "--set", *TINY], amounts | common | build | {"out": outputs[1:], "device": CHOICE,
                "start_from": runs("checkpoint.pt", "config.json")}, {1: TERRAIN}, 4),
         Sample(resume, amounts | common | {"resume": runs("checkpoint.pt", "config.json", "log.csv")}, {1: TERRAIN}, 2),
         Sample([*evaluate, "--json", "eval.json", "--pictures", "pictures"],
-               common | level | {"protocol": NAME, "levels": LEVEL, "episodes": HELD, "device": CHOICE,
-               "json": out, "pictures": outputs[1:2] + outputs[3:]}, {1: policy}, 3),
+               common | level | {"protocol": NAME, "levels": LEVEL, "value": bad("nan", "inf", "-1e308", "x"),
+               "layout": NAME, "target_distance": bad("nan", "-1", "1e9", "x", "1,,2"), "direction": bad("nan", "x", "inf"),
+               "time": bad("nan", "-1", "x", "1e9"), "episodes": HELD, "device": CHOICE,
+               "json": out, "pictures": outputs[1:]}, {1: policy}, 3),
         Sample([*evaluate, "--protocol", "difficulty", "--levels", "1", "--json", "difficulty.json"],
                {"levels": HELD, "episodes": HELD, "terrain": TERRAIN, "level": LEVEL + bad("0")}, {1: policy}),
         Sample(["report", "run", "--out", "report.html"], {"out": out + bad("x.json")},
@@ -178,13 +180,14 @@ def samples(place) -> list[Sample]:
         Sample(["actuator", "record", "--joints", "1", "--seconds", "0.1", "--out", "record.npz"],
                {"joints": HELD, "seconds": POSITIVE + bad("1e300"),
                "period_s": POSITIVE + bad("1e300", "1e-300", "0.0003"), "seed": SEED,
-               "out": outputs + bad("x.txt", "/dev/null")}, {}),
+               "out": outputs + bad("x.txt")}, {}),
         Sample(taps, common | {"period_s": POSITIVE + bad("1e9", "0.003"), "architecture": CHOICE,
                "units": HELD, "taps_s": bad("nan", "-1", "inf", "1e9", "x"), "epochs": COUNT, "patience": COUNT,
                "learning_rate": POSITIVE + bad("1e300"), "data": WORDS, "out": outputs},
                {2: files("log.npz") + files("log.csv")}),
         Sample(["actuator", "show", "drive.safetensors", "--out", "motors.png"],
-               {"clip": CHOICE, "robot": NAME, "joint": NAME, "inertia": POSITIVE, "out": outputs}, {2: files("drive.safetensors")}),
+               {"clip": CHOICE, "robot": NAME, "joint": NAME, "inertia": POSITIVE, "out": outputs},
+               {2: files("drive.safetensors")}),
         Sample(["actuator", "import", "arrays.npz", "--out", "imported.safetensors"],
                {"period_s": POSITIVE + bad("1e9"), "data": WORDS, "out": outputs}, {2: files("arrays.npz")}),
     ]  # fmt: skip
