@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WARP := $(VENV)/.warp
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test lint docs constraints audit clean
 
 demo: $(STAMP)
 	$(BIN)/arrive train flat --minutes 6 --out runs/demo
@@ -22,6 +22,15 @@ lint: $(STAMP)
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo "build/docs/index.html"
+
+# What was tested: the versions of everything that is installed here. `pip install -c constraints.txt .` takes the same.
+constraints: $(STAMP) $(WARP)
+	$(BIN)/python -m pip freeze --exclude-editable | grep -v ' @ ' | sed 's/+cpu$$//' > constraints.txt
+
+# Asks a database of known faults, over the network; only where pip-audit is at hand.
+audit: $(STAMP)
+	@if command -v pip-audit >/dev/null; then pip-audit --requirement constraints.txt --no-deps --disable-pip; \
+	else echo "no pip-audit: known faults of dependencies are not looked up"; fi
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
