@@ -47,11 +47,20 @@ ASSIGNMENTS = bad("", "=", "==", "ppo", "ppo.gamma", "=1", ".=1", "ppo.=1", ".pp
                   "physics.motor_file=/dev/zero", "robot=cat", "robot=3", "preset=3", "task.name=fnal",
                   "ppo.gamma=" + "9" * 5000, "ppo.hidden=" + "[" * 5000, "ppo.hidden=[8", "ppo.gamma={\"a\":",
                   "__class__=1", "__class__.__name__=x", "physics.__init__=1", "\udcff=1",
-                  "observation.height_clip=[1]", "observation.height_clip=[1,2,3]", "一=1", "ppo.precision=float8",
+                  "observation.heights.clip=[1]", "observation.heights.clip=[1,2,3]", "一=1", "ppo.precision=float8",
                   "physics.cone=round", "physics.motor_clip=none", "schedule.enabled=1", "-1")  # fmt: skip
+OUT_OF_RANGE = bad("physics.timestep_s=1e9", "physics.solver_tolerance=NaN",
+                  "physics.decimation=1000000000", "physics.contact_time_s=-1", "physics.contact_impedance=2",
+                  "randomisation.push_interval_s=0", "randomisation.start_yaw_rad=NaN", "randomisation.push_speed=NaN",
+                  "randomisation.payload_kg=[0,1e9]", "randomisation.friction=[2,1]",
+                  "ppo.value_loss=-1", "ppo.entropy=1e30",
+                  "task.target_distance=[-5,-1]", "task.exploration_until=NaN", "seed=-1", "seed=18446744073709551616",
+                  "num_envs=0", "ppo.gamma=1.5", "ppo.lam=-0.1",
+                  "ppo.learning_rate=Infinity")  # fmt: skip
 HELD_ASSIGNMENTS = bad("num_envs=1000000000", "terrain.variants=1000000", "terrain.levels=1000000000",
                        "ppo.num_steps=1000000000", "ppo.hidden=[100000000]", "ppo.hidden=[30000,30000]",
-                       "observation.grid_length=1e9", "observation.grid_step=1e-9", "observation.grid_step=1e-300",
+                       "observation.heights.length=1e9", "observation.heights.step=1e-9",
+                       "observation.heights.step=1e-300",
                        "num_envs=" + "1" + "0" * 400)  # fmt: skip
 WORDS = good("一", "\udcff", "a b", "", "--x", "x" * 3000)
 

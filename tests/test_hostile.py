@@ -27,6 +27,7 @@ from hostile import (
     HELD_ASSIGNMENTS,
     LEVEL,
     NAME,
+    OUT_OF_RANGE,
     POSITIVE,
     SEED,
     TERRAIN,
@@ -134,7 +135,7 @@ def samples(place) -> list[Sample]:
         "task": NAME,
         "robot": NAME,
         "num_envs": HELD + bad("1000000000"),
-        "set": ASSIGNMENTS + HELD_ASSIGNMENTS,
+        "set": ASSIGNMENTS + OUT_OF_RANGE + HELD_ASSIGNMENTS,
     }
     amounts = {"minutes": POSITIVE + good("1e-300"), "samples": POSITIVE + bad("M", "1T", "nanM") + good("8", "1k"),
                "iterations": COUNT}  # fmt: skip

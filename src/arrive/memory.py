@@ -103,8 +103,8 @@ def check_robots(config: Config, worlds: int, tiles: int, learning: bool = False
 
 def observed(config: Config) -> float:
     """Numbers that a robot observes, rounded up."""
-    grid = config.observation
-    return OTHER_TERMS + math.prod(extent / grid.grid_step + 1 for extent in (grid.grid_length, grid.grid_width))
+    grid = config.observation.heights
+    return OTHER_TERMS + math.prod(extent / grid.step + 1 for extent in (grid.length, grid.width))
 
 
 def robot_bytes(config: Config) -> float:
