@@ -35,7 +35,7 @@ class Range:
 
     def holds(self, value: float) -> bool:
         """Whether the number is in the range."""
-        if not math.isfinite(value):
+        if isinstance(value, float) and not math.isfinite(value):  # whole numbers may be too long for it
             return False
         enough = value > self.low if self.above else value >= self.low
         return enough and (value < self.high if self.below else value <= self.high)
