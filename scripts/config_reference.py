@@ -1,0 +1,94 @@
+"""Writes docs/configuration.md from the fields of the configuration, the presets and the tasks.
+
+python scripts/config_reference.py           # writes
+python scripts/config_reference.py --check   # exit status 1 where it is not up to date
+"""
+
+import itertools
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from arrive.fields import Row, rows
+from arrive.presets import PRESETS
+from arrive.task.registry import TASKS
+from arrive.task.rewards import functions
+
+PAGE = Path(__file__).parent.parent / "docs" / "configuration.md"
+HEAD = """# Configuration
+
+Made from the code by `python scripts/config_reference.py`; change the docstrings, not this page.
+
+`arrive train TERRAINS --preset NAME --set FIELD=VALUE ...` changes any field. `config.json` in the run's folder has all
+of them as they were. Where presets differ, their values stand in this order: {presets}.
+"""
+OTHER = """
+## `task`, with `--task {name}`
+
+{description} {new}
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    presets = {name: list(rows(build())) for name, build in PRESETS.items()}
+    configs = [build() for build in PRESETS.values()]
+    terms = meanings_of_rewards(configs[0].task)
+    parts = [HEAD.format(presets=", ".join(f"`{name}`" for name in presets))]
+    for section, group in itertools.groupby(zip(*presets.values(), strict=True), lambda same: section_of(same[0])):
+        parts.append(f"\n## {section}\n\n" + table([(same[0], values(same)) for same in group], terms))
+    first = configs[0].task.name
+    known = {row.path for row in presets[next(iter(presets))]}
+    for name, task in TASKS.items():
+        if name == first:
+            continue
+        config = task.from_preset(configs[0].task)
+        new = [row for row in rows(config, "task.") if row.path not in known]
+        words = f"Fields that `{first}` does not have:" if new else f"It has no fields that `{first}` does not have."
+        parts.append(OTHER.format(name=name, description=(task.__doc__ or "").strip().splitlines()[0], new=words))
+        if new:
+            parts.append("\n" + table([(row, values([row])) for row in new], meanings_of_rewards(config)))
+    return "".join(parts)
+
+
+def section_of(row: Row) -> str:
+    """The heading that a field stands under."""
+    section, dot, _ = row.path.partition(".")
+    return f"`{section}`" if dot else "The run"
+
+
+def meanings_of_rewards(task: Any) -> dict[str, str]:
+    """By the path of its weight, what a reward pays for."""
+    found = {}
+    for name, function in functions(task.rewards).items():
+        lines = (function.__doc__ or "").strip().split("\n\n")[0].split()
+        found[f"task.rewards.{name}.weight"] = " ".join(lines)
+    return found
+
+
+def values(same: Iterable[Row]) -> str:
+    """The value of one field in every preset; one where they agree."""
+    shown = [f"`{json.dumps(row.value)}`" for row in same]
+    return shown[0] if len(set(shown)) == 1 else ", ".join(shown)
+
+
+def table(fields: list[tuple[Row, str]], terms: dict[str, str]) -> str:
+    """Field, value, unit, range and meaning."""
+    lines = ["| field | value | unit | range | meaning |", "|---|---|---|---|---|"]
+    for row, value in fields:
+        meaning = f"{terms[row.path]} {row.meaning}" if row.path in terms else row.meaning
+        cells = (f"`{row.path}`", value, row.unit, row.range, meaning)
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    if "--check" in sys.argv:
+        sys.exit(PAGE.read_text() != page())
+    PAGE.write_text(page())
+
+
+if __name__ == "__main__":
+    main()
