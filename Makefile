@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WARP := $(VENV)/.warp
 
-.PHONY: demo test lint docs constraints audit clean
+.PHONY: demo test lint coverage docs constraints audit clean
 
 demo: $(STAMP)
 	$(BIN)/arrive train flat --minutes 6 --out runs/demo
@@ -18,6 +18,9 @@ test: $(STAMP) $(WARP)
 lint: $(STAMP)
 	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
 	$(BIN)/ruff format --check src tests benchmarks scripts examples docs/conf.py
+
+coverage: $(STAMP) $(WARP)
+	$(BIN)/python -m pytest --cov=arrive --cov-report=term:skip-covered --cov-report=html:build/coverage
 
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
