@@ -83,7 +83,9 @@
     bar.append(pad, keys);
     document.body.append(bar);
     const handle = document.querySelector('[style*="cursor: pointer"][style*="height: 3.5em"]');
-    if (handle && !window.arriveSheet) handle.click();
+    // Once: who opens it wants it open. The page may be built twice before it has a sheet at all.
+    if (!handle || window.arriveSheet) return;
+    handle.click();
     window.arriveSheet = true;
   }
 
