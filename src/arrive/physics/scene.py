@@ -10,6 +10,9 @@ GREY = (0.62, 0.62, 0.60)
 PARKED_Z = -100.0
 """Where unused geoms are [m]."""
 FIELD_NAME = "terrain"
+PAVING = "paving"
+PLATE_M = 0.5
+"""Edge of the plates that show motion in pictures [m]."""
 FIELD_BASE = 1.0
 """Thickness of a height field below its lowest point [m]."""
 
@@ -37,6 +40,25 @@ def add_tile(spec: mujoco.MjSpec, tile: Tile) -> None:
             geom.pos, geom.size = (0.0, 0.0, PARKED_Z), (0.01, 0.01, 0.01)
     if tile.height_field is not None:
         _add_height_field(spec, tile, tile.height_field)
+
+
+def pave(spec: mujoco.MjSpec) -> None:
+    """Give the ground plates with joints, for pictures; the colours stay."""
+    spec.add_texture(
+        name=PAVING,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=(1.0, 1.0, 1.0),
+        rgb2=(1.0, 1.0, 1.0),
+        markrgb=(0.72, 0.72, 0.72),
+        width=128,
+        height=128,
+    )
+    material = spec.add_material(name=PAVING, texuniform=True, texrepeat=(1.0 / PLATE_M, 1.0 / PLATE_M))
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = PAVING
+    for geom in spec.worldbody.geoms:
+        geom.material = PAVING
 
 
 def _add_geom(spec: mujoco.MjSpec, tile: Tile, place: int, colour: int | None = None) -> mujoco.MjsGeom:

@@ -10,7 +10,7 @@ import numpy as np
 from arrive.actuation import add_motors
 from arrive.errors import ArriveError
 from arrive.physics.options import PhysicsConfig, apply_options
-from arrive.physics.scene import add_tile
+from arrive.physics.scene import add_tile, pave
 from arrive.robots.robot import Robot
 from arrive.terrain.tile import Tile
 
@@ -87,11 +87,13 @@ def _collision_geoms(body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
 
 
 def world_spec(robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = False) -> mujoco.MjSpec:
-    """The uncompiled robot on a tile; `visuals` adds the shapes that are only looked at."""
+    """The uncompiled robot on a tile; `visuals` adds what is only looked at."""
     spec = robot.build_spec(visuals)
     if config.leg_contacts:
         let_legs_collide(spec, robot)
     add_tile(spec, tile)
+    if visuals:
+        pave(spec)
     apply_options(spec, config)
     add_motors(spec, robot.joint_names, robot.motors, config.motor)
     add_sensors(spec, robot)

@@ -23,6 +23,19 @@ DOT_SPACING = 0.1
 """Distance between the dots of the path walked [m]."""
 MARGIN = 0.7
 """Free space kept around the path and the target [m]."""
+FARTHEST_VIEW = 4.2
+"""A camera does not go farther away to have the whole path in its picture; it goes along with the robot [m]."""
+AHEAD = 0.5
+"""What the camera looks at is this far before the robot [m]."""
+VIEWS_DEG = tuple((side, down) for down in (-22.0, -35.0, -50.0) for side in (52.0, -52.0, 28.0, -28.0))
+"""Directions to look in, from that of the way, and down: the first from which the ground hides the robot least is
+taken."""
+SUN = np.array([0.45, 0.35, -1.0]) / np.linalg.norm([0.45, 0.35, -1.0])
+"""Direction of its light."""
+SHADOWED_M = 8.0
+"""Half the edge of the ground with shadows, at least: of a smaller one, level ground shades itself in speckles [m]."""
+SMOOTH_S = 1.0
+"""The camera follows the robot's mean place over this time, so that it does not shake with every step [s]."""
 SKY = (0.80, 0.87, 0.94)
 TARGET_COLOR = (0.10, 0.75, 0.25)
 PATH_COLOR = (0.95, 0.45, 0.05)
@@ -40,7 +53,7 @@ def picture_strip(episode: Episode, path: Path, frames: int = 6) -> None:
     draw = ImageDraw.Draw(strip)
     draw.text((8, 7), f"{episode.caption}: {episode.outcome}", "black", ImageFont.load_default(18))
     steps = np.linspace(0, len(episode.qpos) - 1, frames).round().astype(int)
-    with _stage(episode, *FRAME_SIZE) as stage:
+    with open_stage(episode, *FRAME_SIZE) as stage:
         for place, step in enumerate(steps):
             left = place * (width + gap)
             strip.paste(Image.fromarray(stage.draw(step)), (left, top))
@@ -61,7 +74,7 @@ def film(episode: Episode, path: Path, fps: int = 25) -> None:
     duration_s = (len(episode.qpos) - 1) * episode.control_dt
     partial = path.with_name(f"{path.stem}.partial.mp4")
     font = ImageFont.load_default(18)
-    with _stage(episode, *FILM_SIZE) as stage:
+    with open_stage(episode, *FILM_SIZE) as stage:
         options = {"fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 2}
         options["output_params"] = ["-preset", "veryfast"]
         with imageio.get_writer(partial, format="FFMPEG", **options) as writer:
@@ -75,14 +88,19 @@ def film(episode: Episode, path: Path, fps: int = 25) -> None:
 
 
 @contextmanager
-def _stage(episode: Episode, width: int, height: int) -> Iterator["_Stage"]:
+def open_stage(episode: Episode, width: int, height: int) -> Iterator["Stage"]:
+    """What draws an episode's moments in pictures of this size [pixels], closed at the end.
+
+    Raises:
+        GraphicsUnavailable: this machine cannot draw.
+    """
     model = copy.copy(episode.model)
     _set_look(model, episode)
     with open_renderer(model, width, height) as renderer:
-        yield _Stage(episode, model, renderer)
+        yield Stage(episode, model, renderer)
 
 
-class _Stage:
+class Stage:
     """Draws single moments of an episode, with its light, camera, target and path."""
 
     def __init__(self, episode: Episode, model: mujoco.MjModel, renderer: mujoco.Renderer):
@@ -95,18 +113,21 @@ class _Stage:
         self._aspect = renderer.width / renderer.height
         steps = np.linalg.norm(np.diff(episode.qpos[:, :2], axis=0), axis=1)
         self._walked = np.concatenate([[0.0], np.cumsum(steps)])
+        self._cameras = _Cameras(episode, self._aspect, model.vis.global_.fovy)
+        places = np.vstack([episode.qpos[:, :3], episode.target_w])
+        self._middle = (places.min(0) + places.max(0)) / 2
 
     def draw(self, step: int) -> np.ndarray:
         """(height, width, 3) the picture at a row of `qpos`, 8 bits per colour."""
         self._data.qpos[:] = self._episode.qpos[step]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        camera = _camera(self._episode, step, self._aspect, self._model.vis.global_.fovy)
+        camera = self._cameras.at(step)
         self._renderer.update_scene(self._data, camera, self._options)
         self._mark_target()
         self._mark_path(step)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
-        _add_sun(self._renderer.scene)
+        _add_sun(self._renderer.scene, self._middle)
         _add_sky(self._renderer.scene, camera)
         return self._renderer.render()
 
@@ -131,27 +152,69 @@ def _set_look(model: mujoco.MjModel, episode: Episode) -> None:
     model.vis.headlight.diffuse[:] = 0.25
     model.vis.headlight.specular[:] = 0.0
     model.vis.rgba.fog[:] = (*SKY, 1.0)
-    model.vis.quality.shadowsize = 1024
+    model.vis.quality.shadowsize = 4096
     model.vis.quality.offsamples = 4
     model.stat.extent = 1.0  # makes the lengths below metres
     reach = float(np.ptp(np.vstack([episode.qpos[:, :3], episode.target_w]), axis=0).max()) + 2 * MARGIN
     model.vis.map.znear, model.vis.map.zfar = 0.05, 100.0
     model.vis.map.fogstart, model.vis.map.fogend = 3 * reach, 8 * reach + 10
-    model.vis.map.shadowclip = reach
+    model.vis.map.shadowclip = max(SHADOWED_M, reach)
 
 
-def _camera(episode: Episode, step: int, aspect: float, fovy_deg: float) -> mujoco.MjvCamera:
-    """Three-quarter view from behind the start that follows the robot a little and keeps path and target in view."""
-    base, target = episode.qpos[:, :3], np.asarray(episode.target_w)
-    points = np.vstack([base, target])
-    center = (points.min(0) + points.max(0)) / 2
-    camera = mujoco.MjvCamera()
-    heading = np.degrees(np.arctan2(target[1] - base[0, 1], target[0] - base[0, 0]))
-    camera.azimuth, camera.elevation = heading + 50.0, -24.0
-    camera.lookat[:] = center + 0.25 * (base[step] - center)
-    tangent = np.tan(np.radians(fovy_deg) / 2)
-    camera.distance = _fit_distance(points - camera.lookat, _axes(camera), tangent * aspect, tangent)
-    return camera
+class _Cameras:
+    """Where the camera is at each step: it goes along beside the robot, steadily, and sees over what stands around."""
+
+    def __init__(self, episode: Episode, aspect: float, fovy_deg: float):
+        base = episode.qpos[:, :3]
+        self._places, target = np.vstack([base, episode.target_w]), np.asarray(episode.target_w)
+        way = target[:2] - base[0, :2]
+        self._heading = np.degrees(np.arctan2(way[1], way[0]))
+        ahead = AHEAD * np.array([*way, 0.0]) / max(float(np.hypot(*way)), 1e-6)
+        self._looked_at = _smoothed(base + ahead, SMOOTH_S / episode.control_dt)
+        tangent = np.tan(np.radians(fovy_deg) / 2)
+        self._tangents = tangent * aspect, tangent
+        hidden = {view: _hidden_share(episode, self._positions(view)) for view in VIEWS_DEG}
+        self._view = min(VIEWS_DEG, key=hidden.__getitem__)
+
+    def at(self, step: int) -> mujoco.MjvCamera:
+        """The camera at a row of `qpos`."""
+        return self._camera(self._view, step)
+
+    def _camera(self, view: tuple[float, float], step: int) -> mujoco.MjvCamera:
+        camera = mujoco.MjvCamera()
+        camera.azimuth, camera.elevation = self._heading + view[0], view[1]
+        camera.lookat[:] = self._looked_at[step]
+        camera.distance = min(
+            _fit_distance(self._places - camera.lookat, _axes(camera), *self._tangents), FARTHEST_VIEW
+        )
+        return camera
+
+    def _positions(self, view: tuple[float, float]) -> np.ndarray:
+        """(steps, 3) where the camera is [m]."""
+        cameras = [self._camera(view, step) for step in range(len(self._looked_at))]
+        return np.array([camera.lookat - camera.distance * _axes(camera)[0] for camera in cameras])
+
+
+def _smoothed(path: np.ndarray, steps: float) -> np.ndarray:
+    """(n, 3) the mean of a path over so many steps around each; its ends are repeated."""
+    half = max(round(steps / 2), 1)
+    padded = np.pad(path, ((half, half), (0, 0)), mode="edge")
+    window = np.ones(2 * half + 1) / (2 * half + 1)
+    return np.column_stack([np.convolve(column, window, "valid") for column in padded.T])
+
+
+def _hidden_share(episode: Episode, cameras: np.ndarray, samples: int = 25) -> float:
+    """Share of the steps at which the ground stands between camera and robot."""
+    data = mujoco.MjData(episode.model)
+    groups, hidden = np.array([1, 0, 0, 0, 0, 0], np.uint8), 0
+    mujoco.mj_kinematics(episode.model, data)
+    steps = np.linspace(0, len(cameras) - 1, samples).round().astype(int)
+    for start, base in zip(cameras[steps], episode.qpos[steps, :3], strict=True):
+        way = base - start
+        length = float(np.linalg.norm(way))
+        distance = mujoco.mj_ray(episode.model, data, start, way / length, groups, 1, -1, None)
+        hidden += 0.0 <= distance < length
+    return hidden / samples
 
 
 def _axes(camera: mujoco.MjvCamera) -> np.ndarray:
@@ -168,15 +231,14 @@ def _fit_distance(points: np.ndarray, axes: np.ndarray, tan_right: float, tan_up
     return float(np.max(np.maximum((np.abs(right) + MARGIN) / tan_right, (np.abs(up) + MARGIN) / tan_up) - forward))
 
 
-def _add_sun(scene: mujoco.MjvScene) -> None:
-    """A light from above that casts shadows, after the headlight and whatever lights the model has."""
+def _add_sun(scene: mujoco.MjvScene, middle: np.ndarray) -> None:
+    """A light from above that casts shadows, fixed to the world: one that goes along makes shadows' edges flicker."""
     if scene.nlight >= len(scene.lights):
         return
     sun = scene.lights[scene.nlight]
     sun.type, sun.castshadow, sun.headlight = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, 1, 0
-    direction = np.array([0.35, 0.25, -1.0])
-    sun.dir[:] = direction / np.linalg.norm(direction)
-    sun.pos[:] = np.array(scene.camera[0].pos) * (1, 1, 0) - 20 * sun.dir
+    sun.dir[:] = SUN
+    sun.pos[:] = middle - 20 * SUN
     sun.ambient[:], sun.diffuse[:], sun.specular[:] = 0.0, 0.6, 0.1
     scene.nlight += 1
 
