@@ -13,7 +13,7 @@ demo: $(STAMP)
 
 test: $(STAMP) $(WARP)
 	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
