@@ -35,7 +35,7 @@ def paper() -> Config:
 
 
 def robust() -> Config:
-    """What trained best on two cores; the README says what differs from the paper and why."""
+    """What trained best on two cores; docs/presets.md says what differs from the paper and why."""
     return Config(
         preset="robust",
         num_envs=1024,
