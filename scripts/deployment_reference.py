@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import arrive.deployment
-from arrive.deployment.policy_file import PolicyFile, read_policy_file
-from arrive.policies import DEFAULT, shipped_file
+from arrive.deployment.opening import open_policy
+from arrive.deployment.policy_file import PolicyFile
+from arrive.policies import DEFAULT
 from arrive.terms import TERMS
 
 PAGE = Path(__file__).parent.parent / "docs" / "deployment-reference.md"
@@ -34,7 +35,7 @@ def page() -> str:
     parts = [HEAD]
     for name in arrive.deployment.__all__:
         parts.append(f"## `{name}`\n\n{describe(name, getattr(arrive.deployment, name))}")
-    parts.append(observation(read_policy_file(shipped_file(DEFAULT))))
+    parts.append(observation(open_policy(DEFAULT)))
     return "\n".join(parts)
 
 

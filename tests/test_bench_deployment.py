@@ -6,12 +6,11 @@ from arrive.bench.control_loop import Walk
 from arrive.bench.deployment import bench_deployment, print_deployment
 from arrive.deployment import Controller
 from arrive.errors import ArriveError
-from arrive.policies import DEFAULT, shipped_file
 
 
 @pytest.fixture(scope="module")
-def result():
-    return bench_deployment((shipped_file(DEFAULT),), hidden=(64, 32), steps=200)
+def result(exported):
+    return bench_deployment((exported,), hidden=(64, 32), steps=200)
 
 
 def test_both_policies_are_measured(result, capsys):
@@ -36,8 +35,8 @@ def test_targets_decide_what_is_met(monkeypatch):
     assert bench_deployment(hidden=(8,), steps=5)["policies"][0]["met"]
 
 
-def test_every_input_changes_and_the_policy_acts_on_all_of_them():
-    controller = Controller.load(shipped_file(DEFAULT))
+def test_every_input_changes_and_the_policy_acts_on_all_of_them(exported):
+    controller = Controller.load(exported)
     walk, modes, seen = Walk(controller), set(), []
     for i in range(100):
         inputs = walk.at(0.02 * i)

@@ -16,12 +16,10 @@ import pytest
 import ros2_stub
 from arrive.config import saved_config
 from arrive.deployment import Controller, GridHeights, Sensors, Target
-from arrive.policies import DEFAULT, shipped_file
 from arrive.simulation import SimulatedRobot
 from arrive.terrain.ground import ground_of
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-POLICY = shipped_file(DEFAULT)
 
 
 def load(name: str):
@@ -32,17 +30,17 @@ def load(name: str):
     return module
 
 
-def test_the_minimal_loop_prints_a_target_for_every_joint(capsys):
-    load("minimal.py").main(str(POLICY))
+def test_the_minimal_loop_prints_a_target_for_every_joint(capsys, exported):
+    load("minimal.py").main(str(exported))
     lines = capsys.readouterr().out.splitlines()
-    names = Controller.load(POLICY).policy.robot.joint_names
+    names = Controller.load(exported).policy.robot.joint_names
     assert [line.split(":")[0] for line in lines] == [*names, "mode"]
     assert lines[-1] == "mode: joystick"
 
 
-def test_the_loop_on_a_simulated_robot_is_short_and_brings_it_to_its_target(capsys):
+def test_the_loop_on_a_simulated_robot_is_short_and_brings_it_to_its_target(capsys, exported):
     assert len((EXAMPLES / "simulated_robot.py").read_text().splitlines()) < 80
-    assert load("simulated_robot.py").main(["--fast"]) < Controller.load(POLICY).policy.task.arrival_radius_m
+    assert load("simulated_robot.py").main(["--fast"]) < Controller.load(exported).policy.task.arrival_radius_m
     modes = [line.split()[2] for line in capsys.readouterr().out.splitlines()[:-1]]
     assert modes == ["target", "hold"]
 
@@ -100,8 +98,8 @@ def targets_of(result) -> list[float]:
     return [float(line.split()[1]) for line in lines[1:]]
 
 
-def test_the_cpp_program_asks_for_the_same_joint_targets_as_the_controller(run_policy, tmp_path):
-    controller, rng = Controller.load(POLICY), np.random.default_rng(0)
+def test_the_cpp_program_asks_for_the_same_joint_targets_as_the_controller(run_policy, exported, tmp_path):
+    controller, rng = Controller.load(exported), np.random.default_rng(0)
     policy, joints = controller.policy, len(controller.policy.robot.joint_names)
     for _ in range(5):
         controller.reset()
@@ -120,14 +118,14 @@ def test_the_cpp_program_asks_for_the_same_joint_targets_as_the_controller(run_p
         told = {"target_w": target, "time_left_s": 3.0, "action": np.zeros(joints), "heights_w": heights}
         content = {name: np.asarray(value).tolist() for name, value in (state | told).items()}
         (tmp_path / "state.json").write_text(json.dumps(content))
-        found = targets_of(run_policy(POLICY, tmp_path / "state.json"))
+        found = targets_of(run_policy(exported, tmp_path / "state.json"))
         np.testing.assert_allclose(found, command.targets, atol=1e-5)
 
 
-def test_the_cpp_program_says_what_is_wrong(run_policy, tmp_path):
-    assert len(targets_of(run_policy(POLICY))) == 12
+def test_the_cpp_program_says_what_is_wrong(run_policy, exported, tmp_path):
+    assert len(targets_of(run_policy(exported))) == 12
     (tmp_path / "state.json").write_text('{"joint_pos": []}')
-    for arguments in ((), (tmp_path / "none.onnx",), (POLICY, tmp_path / "state.json")):
+    for arguments in ((), (tmp_path / "none.onnx",), (exported, tmp_path / "state.json")):
         result = run_policy(*arguments)
         assert result.returncode == 1
         assert result.stderr.startswith("run_policy: ")
@@ -187,12 +185,12 @@ def grid_map(terrain, now_s: float, start: tuple[int, int] = (0, 0)) -> SimpleNa
 class RosRobot:
     """The example's node on a simulated robot."""
 
-    def __init__(self, monkeypatch):
+    def __init__(self, monkeypatch, exported):
         ros2_stub.install(monkeypatch)
         monkeypatch.syspath_prepend(EXAMPLES / "ros2")
         for name in ("conversions", "arrive_node"):
             monkeypatch.delitem(sys.modules, name, raising=False)
-        monkeypatch.setattr(ros2_stub.Node, "parameters", {"policy": str(POLICY)})
+        monkeypatch.setattr(ros2_stub.Node, "parameters", {"policy": str(exported)})
         self.node = load("ros2/arrive_node.py").ArriveNode()
         policy = self.node.controller.policy
         config = saved_config(policy.meta["training"]["config"], policy.path)
@@ -216,8 +214,8 @@ class RosRobot:
 
 
 @pytest.fixture
-def ros(monkeypatch):
-    return RosRobot(monkeypatch)
+def ros(monkeypatch, exported):
+    return RosRobot(monkeypatch, exported)
 
 
 def test_the_ros_node_brings_a_robot_to_a_goal_and_lets_a_stick_overrule_it(ros):

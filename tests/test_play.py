@@ -4,6 +4,7 @@ import importlib.util
 import json
 import math
 import re
+import shutil
 import socket
 import struct
 import threading
@@ -13,21 +14,23 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from arrive import cli, policies
+from arrive.commands.policies import read_policy
 from arrive.deployment.opening import open_policy
-from arrive.deployment.policy_file import read_policy_file
 from arrive.drive.pace import LARGEST_DELAY_S, Pace
 from arrive.errors import ArriveError
 from arrive.learning.policy import load_policy
 from arrive.play import colours, shapes
 from arrive.play.history import WINDOW_S, History
 from arrive.play.playground import TERRAIN_GROUP, Playground
-from arrive.play.skills import choices, open_skill, solved_beside
+from arrive.play.skills import choices, open_skill
 from arrive.play.stick import parse_stick
 from arrive.play.trail import WINDOW_S as WINDOW_TRAIL_S
 from arrive.play.trail import Trail
-from arrive.policies import DEFAULT, SHIPPED, shipped_file
+from arrive.policies import DEFAULT
+from arrive.policies.solved import solved_beside
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, ground_of
 from arrive.terrain.tile import RASTER_HALF, cell_index
@@ -292,10 +295,8 @@ def test_a_damaged_measurement_is_none(tmp_path, content):
 def test_the_chooser_says_what_policies_can(tmp_path, monkeypatch):
     (tmp_path / "leaper").mkdir()
     measured(tmp_path / "leaper", gap=0.5, flat=0.0, stairs=0.1)
-    monkeypatch.setattr(policies, "TRAINED", tmp_path)
-    offered = choices(DEFAULT)
-    assert offered["leaper: gap 0.5 m and 1 more"] == "leaper"
-    assert offered[DEFAULT] == DEFAULT
+    monkeypatch.setattr(policies, "SHIPPED", tmp_path)
+    assert choices(str(RUN)) == {"leaper: gap 0.5 m and 1 more": "leaper", "joystick": str(RUN)}
 
 
 def test_all_around_the_target_lies_beyond_the_terrain(skill):
@@ -489,43 +490,66 @@ def test_a_mesh_of_a_description_is_drawn():
 # Policies by name.
 
 
-def test_shipped_policies_have_names_and_files():
-    folder = shipped_file(DEFAULT).parent
-    assert {path.stem for path in folder.glob("*.onnx")} == set(SHIPPED)
-
-
-def test_the_default_policy_is_what_the_results_hold(tmp_path):
+def test_a_policy_is_one_and_the_same_by_every_name(tmp_path, exported):
+    copy = tmp_path / "policy.pt"
+    shutil.copy(RUN / "policy.pt", copy)
     golden = open_policy().meta["golden"]
-    assert open_policy(DEFAULT).meta["golden"] == golden
-    assert open_policy(str(RUN)).meta["golden"] == golden
-    assert open_policy(f"{RUN}/policy.pt").meta["golden"] == golden
-    copy = tmp_path / "copy.onnx"
-    copy.write_bytes(shipped_file(DEFAULT).read_bytes())
-    assert open_policy(str(copy)).meta["golden"] == read_policy_file(copy).meta["golden"] == golden
+    for name in (DEFAULT, RUN, RUN / "policy.pt", copy, exported):
+        assert open_policy(str(name)).meta["golden"] == golden
+        acted = read_policy(name).act(torch.tensor(golden["observations"]))
+        np.testing.assert_allclose(acted, golden["actions"], atol=1e-5)
 
 
-def test_an_unknown_policy_names_the_shipped_ones():
-    with pytest.raises(ArriveError, match=r"no policy 'flta'.*name of a policy: .*joystick"):
-        open_policy("flta")
+def test_results_of_a_policy_go_to_its_own_folder(exported):
+    assert (load_policy(RUN / "policy.pt").folder, load_policy(RUN).name) == (RUN, "joystick")
+    assert read_policy(exported).folder == exported.with_suffix("")
+    assert policies.results_folder(policies.PACKED / "gap" / "policy.pt") == Path("runs/gap"), "not into the package"
 
 
-def test_run_folders_of_the_checkout_have_names(capsys, monkeypatch):
-    other = RUN.parents[1] / "policies" / "walk"
-    monkeypatch.setattr(policies, "TRAINED", other.parent)
-    assert policies.find_run(Path(other.name)) == other
-    assert open_policy(other.name).digest == open_policy(str(other)).digest
-    assert load_policy(Path(other.name)).path == other / "policy.pt"
-    # A path that exists, or that is more than a name, is taken as it is.
-    assert policies.find_run(other) == other
-    assert policies.find_run(Path("elsewhere") / other.name) == Path("elsewhere") / other.name
+@pytest.mark.parametrize(
+    ("name", "meant"), [("joistick", "joystick"), ("mine", "runs/mine"), ("runs/mime", "runs/mine"), ("x", "")]
+)
+def test_an_unknown_policy_is_guessed(tmp_path, monkeypatch, name, meant):
+    mine = tmp_path / "runs" / "mine"
+    mine.mkdir(parents=True)
+    (mine / "policy.pt").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArriveError, match=rf"no policy '{name}'.*shipped policy: .*joystick") as refused:
+        open_policy(name)
+    assert (f"Did you mean {meant}?" in str(refused.value)) if meant else ("mean" not in str(refused.value))
+
+
+def test_what_lies_in_the_current_folder_goes_before_a_shipped_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / DEFAULT).mkdir()
+    assert policies.find_policy(DEFAULT) == RUN, "a folder without a policy does not count"
+    shutil.copy(RUN / "policy.pt", tmp_path / DEFAULT)
+    assert policies.find_policy(DEFAULT) == Path(DEFAULT)
+
+
+def test_shipped_policies_are_slim_and_complete():
+    for name in policies.shipped_names():
+        folder = policies.SHIPPED / name
+        assert (folder / "config.json").is_file()
+        assert (folder / "policy.pt").stat().st_size < 500_000
+
+
+def test_list_says_what_the_shipped_policies_can(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
     cli.main(["list", "policies"])
-    assert other.name in capsys.readouterr().out
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:])
+    assert set(lines) == set(policies.shipped_names())
+    for name, said in lines.items():
+        solved = solved_beside(policies.SHIPPED / name)
+        assert "anymal_c, trained on" in said
+        assert all(f"{family} {value:.3g}" in said for family, value in solved.items())
+        assert ("not measured" in said) == (not (policies.SHIPPED / name / "difficulty.json").exists())
 
 
-def test_list_names_the_shipped_policies(capsys):
-    cli.main(["list", "policies"])
-    out = capsys.readouterr().out
-    assert all(name in out for name in SHIPPED)
+def test_list_keeps_units(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    cli.main(["list", "rewards"])
+    assert "[" in capsys.readouterr().out
 
 
 # The command and the thread behind the page.
@@ -548,7 +572,7 @@ def test_missing_packages_are_named_with_the_remedy(capsys, monkeypatch, missing
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else find(name))
     said = refused(capsys)
     assert missing in said
-    assert "pip install 'arrive[play]'" in said
+    assert f"pip install '{missing}" in said
 
 
 def test_a_port_in_use_is_an_error(capsys):

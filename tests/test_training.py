@@ -13,9 +13,12 @@ from torch import Tensor
 
 from arrive import cli
 from arrive.build import build_env
+from arrive.commands.policies import read_policy
 from arrive.config import override
+from arrive.deployment.export import export_policy
 from arrive.env import POLICY, Finished
 from arrive.errors import ArriveError
+from arrive.learning.policy import LOG_STD, load_policy
 from arrive.learning.trainer import Budget, Trainer
 from arrive.presets import get_preset
 from arrive.task.final import FinalPositionTask
@@ -363,6 +366,20 @@ def test_a_run_can_start_from_the_networks_of_another(tmp_path):
     trainer.warm_start(tmp_path / "first" / "checkpoint.pt")
     assert differing(trainer.algorithm.save(), first) == []
     assert (trainer.state.iteration, trainer.state.samples) == (0, 0)
+
+
+def test_a_policy_alone_gives_its_actor_and_an_exported_one_all_but_the_noise(tmp_path):
+    train("flat", tmp_path / "first", 1)
+    export_policy(load_policy(tmp_path / "first"), tmp_path / "first.onnx")
+    first = load_policy(tmp_path / "first").actor.state_dict()
+    for path, lost in ((tmp_path / "first" / "policy.pt", []), (tmp_path / "first.onnx", [f"/{LOG_STD}"])):
+        trainer = make_trainer(tmp_path / "second", terrain='["gap"]')
+        critic = trainer.algorithm.critic.state_dict
+        fresh = {name: value.clone() for name, value in critic().items()}
+        policy = read_policy(path)
+        assert trainer.warm_start(policy) == policy.samples > 0
+        assert differing(actor_weights(trainer), first) == lost
+        assert differing(critic(), fresh) == []
 
 
 def test_a_warm_start_goes_on_at_the_levels_that_were_reached(tmp_path):

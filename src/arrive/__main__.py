@@ -32,7 +32,7 @@ def _run() -> None:
     else:
         print(
             "arrive: this is the controller's installation, which has only `arrive verify FILE`; "
-            "for all else: pip install arrive",
+            "all else needs the dependencies too: pip install . in a checkout",
             file=sys.stderr,
         )
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""The command line: `arrive train | eval | report | play | drive | export | verify | bench | actuator | list`."""
+"""The command line: `arrive train`, `eval`, `report`, `play`, `drive`, `export`, `list` and more."""
 
 import importlib
 import io

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from arrive.commands.export import need_onnxruntime
+from arrive.commands.policies import need_onnxruntime
 from arrive.config import saved_config
 
 if TYPE_CHECKING:

@@ -11,13 +11,14 @@ from rich.progress import Progress
 from rich.table import Table
 
 from arrive.commands.files import write_json
+from arrive.commands.policies import read_policy
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
 from arrive.evaluation.energy import check_arguments, energy_content, measure_energy
 from arrive.evaluation.walking import check_command
 from arrive.files import whole
-from arrive.learning.policy import Policy, load_policy
+from arrive.learning.policy import Policy
 from arrive.report.energy_chart import energy_figure
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def energy(command: Energy) -> None:
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:
-            walked = bar.add_task(f"{policy.path.parent.name}: robot metres", total=None)
+            walked = bar.add_task(f"{policy.name}: robot metres", total=None)
             measured.append(
                 measure_energy(
                     policy,
@@ -68,8 +69,8 @@ def load_policies(paths: tuple[Path, ...]) -> list[Policy]:
     Raises:
         ArriveError: one cannot be read, or two have one name.
     """
-    policies = [load_policy(path) for path in paths]
-    names = [policy.path.parent.name for policy in policies]
+    policies = [read_policy(path) for path in paths]
+    names = [policy.name for policy in policies]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ArriveError(f"two policies are called {', '.join(repeated)}; name each once")

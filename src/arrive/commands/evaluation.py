@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from arrive.commands.files import write_json
+from arrive.commands.policies import read_policy
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.config import to_dict
@@ -21,10 +23,10 @@ from arrive.evaluation.arrival import evaluate as evaluate_policy
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, Errands, check_policy, effort, hardest_solved
 from arrive.evaluation.reach import measure as measure_reach
-from arrive.learning.policy import Policy, load_policy
+from arrive.learning.policy import Policy
 from arrive.learning.rundir import CONFIG_NAME, DIFFICULTY_NAME
 from arrive.physics.device import choose_device, describe_device
-from arrive.policies import find_run
+from arrive.policies import find_policy
 from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
@@ -63,7 +65,7 @@ def evaluate(command: Eval) -> None:
     print(describe_device(device, command.device, threads))
     measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty, "reach": _evaluate_reach}[protocol]
     for path in (command.policy, *command.others):
-        measure(command, load_policy(path, device), threads)
+        measure(command, read_policy(path, device), threads)
 
 
 def _chosen(command: Eval, policy: Policy) -> list[tuple[Family, Cell | None]]:
@@ -91,14 +93,14 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
         write_json(command.json, _arrival_content(command, policy, answer))
-    _write_pictures(command.pictures or policy.path.parent / "pictures", answer.episodes, films=1)
+    _write_pictures(command.pictures or policy.folder / "pictures", answer.episodes, films=1)
 
 
 def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     if command.layout == "training":
         raise ArriveError("--protocol difficulty is measured on the evaluation layout; leave --layout out")
     difficulty.check_levels(command.levels)
-    chosen, folder = _chosen(command, policy), policy.path.parent
+    chosen, folder = _chosen(command, policy), policy.folder
     one = {family.name: cell for family, cell in chosen if cell}
     if one and command.levels is not None:
         raise ArriveError("--levels spreads levels over a terrain's range; leave it out to measure one level or value")
@@ -110,7 +112,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
         )
         keep_longer(out, rows * command.episodes, command.force)
     with Progress() as bar:
-        steps = bar.add_task(f"{folder.name}: {command.episodes} episodes per level", total=None)
+        steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per level", total=None)
         answer = difficulty.measure(
             policy,
             [family for family, _ in chosen],
@@ -242,8 +244,15 @@ def _write_pictures(folder: Path, episodes: list[Episode], films: int, names: li
 
 
 def report(command: Report) -> None:
-    """Write the report page and its JSON file."""
-    folders = [find_run(path) for path in (command.run, *command.others)]
+    """Write the report page and its JSON file.
+
+    Raises:
+        ArriveError: a run or a result cannot be read.
+    """
+    paths = [path if path.is_dir() else find_policy(path) for path in (command.run, *command.others)]
+    unmeasured = [str(path) for path in paths if read_run(path).difficulty is None]
+    if unmeasured:
+        print(f"not measured yet, first run: arrive eval --protocol difficulty {shlex.join(unmeasured)}")
     files = {name: getattr(command, name) for name in FILES}
-    for path in write_report(folders, command.out, files):
+    for path in write_report(paths, command.out, files):
         print(f"report: {path}")

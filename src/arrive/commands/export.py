@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 from typing import TYPE_CHECKING
 
-from arrive.errors import ArriveError
-from arrive.learning.policy import load_policy
+from arrive.commands.policies import need_onnxruntime, read_policy
+from arrive.files import whole
+from arrive.policies import EXPORTED
 
 if TYPE_CHECKING:
     from arrive.commands.options import Export, Verify
@@ -17,8 +17,12 @@ def export(command: Export) -> None:
     need_onnxruntime()
     from arrive.deployment.export import export_policy
 
-    policy = load_policy(command.policy)
-    export_policy(policy, command.out)
+    policy = read_policy(command.policy)
+    if policy.path.suffix == EXPORTED:
+        with whole(command.out) as copy:
+            copy.write_bytes(policy.path.read_bytes())
+    else:
+        export_policy(policy, command.out)
     print(f"exported: {command.out} ({policy.config.robot}, {policy.config.task.name}, commit {policy.commit})")
 
 
@@ -28,9 +32,3 @@ def verify_file(command: Verify) -> None:
     from arrive.deployment.verify import describe, verify
 
     print(describe(verify(command.file)))
-
-
-def need_onnxruntime() -> None:
-    """Say how to install what runs exported policies, where it is missing."""
-    if importlib.util.find_spec("onnxruntime") is None:
-        raise ArriveError("this needs onnxruntime: pip install 'arrive[deploy]'")

@@ -35,7 +35,7 @@ def gait(command: Gait) -> None:
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:
-            steps = bar.add_task(f"{policy.path.parent.name}: policy steps", total=None)
+            steps = bar.add_task(f"{policy.name}: policy steps", total=None)
             measured.append(
                 measure_gait(
                     policy,

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from arrive.commands.settings import print_config
 from arrive.errors import unknown_name
-from arrive.policies import SHIPPED, TRAINED, trained_names
+from arrive.learning.rundir import read_config
+from arrive.policies import SHIPPED, shipped_names
+from arrive.policies.solved import MEASURED, amounts, solved_beside
 from arrive.presets import PRESETS
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
@@ -36,7 +39,7 @@ def list_names(command: List) -> None:
             for task in TASKS.values()
             for name, function in functions(task.Config().rewards).items()
         },
-        "policies": SHIPPED | dict.fromkeys(trained_names(), f"a run in {TRAINED.name}/ of this checkout"),
+        "policies": {name: _ability(name) for name in shipped_names()},
     }
     if command.what == CONFIG:
         print_config()
@@ -46,7 +49,7 @@ def list_names(command: List) -> None:
     for kind in [command.what] if command.what else names:
         table = Table(title=kind, title_justify="left", show_header=False, box=None)
         for name, description in names[kind].items():
-            table.add_row(name, description)
+            table.add_row(name, escape(description))
         Console().print(table)
 
 
@@ -54,6 +57,17 @@ def _describe(family) -> str:
     if family.lowest == family.highest:
         return family.description
     return f"{family.description} ({family.parameter} {family.lowest:g} to {family.highest:g} {family.unit})"
+
+
+def _ability(policy: str) -> str:
+    """What a shipped policy was measured to solve, and what it was trained for."""
+    config, _ = read_config(SHIPPED / policy)
+    stick = " with moving targets, for a stick" if config.task.retarget_s > 0.0 else ""
+    trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
+    if not (SHIPPED / policy / MEASURED).is_file():
+        return f"not measured; {trained}"
+    solved = amounts(solved_beside(SHIPPED / policy))
+    return f"solves {', '.join(solved) or 'nothing'} in 95 % of the episodes; {trained}"
 
 
 def _first_line(thing) -> str:

@@ -39,7 +39,8 @@ class Train:
     resume: Path | None = None
     """Run folder to continue exactly where it stands."""
     start_from: Path | None = None
-    """Run folder whose networks the new run starts with."""
+    """Run whose networks the new run starts with; of a policy file, an exported file or a shipped policy, which have no
+    critic, the actor alone."""
     out: Path | None = None
     """Folder of the run; one under runs/ by default."""
     set: tuple[str, ...] = ()
@@ -52,7 +53,7 @@ class Eval:
     """Measure how often policies succeed, per terrain and level, and say why they fail."""
 
     policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, measured one after the other."""
     protocol: Literal["arrival", "difficulty", "reach"] | None = None
@@ -105,7 +106,7 @@ class Report:
     """
 
     run: tyro.conf.Positional[Path]
-    """Run folder, or name of a trained policy."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them."""
     energy: Path | None = None
@@ -125,7 +126,7 @@ class Energy:
     """Measure what walking costs at speeds that policies are told (the paper's figure 5)."""
 
     policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, to be compared."""
     speeds: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.75)
@@ -149,7 +150,7 @@ class Gait:
     """Measure how policies step: footfalls, duty factors, strides, phases, and the gait's name (paper, figure 6)."""
 
     policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, to be compared."""
     speeds: tuple[float, ...] = (0.5, 1.0)
@@ -176,7 +177,8 @@ class Drive:
     """Walk the robot with a gamepad or a file of sticks, through the controller that runs on a robot."""
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`; `joystick` by
+    default."""
     terrain: str = "flat"
     """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]."""
     level: int | None = None
@@ -196,7 +198,8 @@ class Play:
     """Drive a robot in the browser, run by the same controller as a real one."""
 
     policy: tyro.conf.Positional[str | None] = field(default=None)
-    """Run folder, policy file, exported file or name of a policy, see `arrive list`; `joystick` by default."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`; `joystick` by
+    default."""
     terrain: str | None = None
     """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]; what the
     policy was trained on by default, at the hardest value that it was measured to solve."""
@@ -218,7 +221,7 @@ class Export:
     """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
 
     policy: tyro.conf.Positional[Path]
-    """Run folder, policy file or name of a trained policy, see `arrive list`."""
+    """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("policy.onnx")
     """File to write."""
 

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 def run_play(command: Play) -> None:
     """Serve the page until Ctrl-C or the time given, then say whether real time was kept."""
-    for package in ("viser", "onnxruntime"):
+    for package, requirement in (("viser", "viser>=1.1,<2"), ("onnxruntime", "onnxruntime")):
         if importlib.util.find_spec(package) is None:
-            raise ArriveError(f"this needs {package}: pip install 'arrive[play]'")
+            raise ArriveError(f"this needs {package}: pip install '{requirement}'")
     from arrive.play.playground import Playground
     from arrive.play.server import open_server
     from arrive.play.session import Session
@@ -33,6 +33,7 @@ def run_play(command: Play) -> None:
     except KeyboardInterrupt:
         pass
     finally:
+        stop.set()
         server.stop()
         pace = session.pace
         kept = 1.0 - pace.dropped_s / max(pace.asked_s, 1e-9)

@@ -13,6 +13,7 @@ import torch
 from rich.progress import Progress
 
 from arrive.build import Placement, build_env
+from arrive.commands.policies import read_policy
 from arrive.commands.threads import use_threads
 from arrive.config import Config
 from arrive.env import ArriveEnv
@@ -23,11 +24,19 @@ from arrive.learning.display import TrainingDisplay, count
 from arrive.learning.logs import RunLog
 from arrive.learning.ranks import Ranks, join_ranks
 from arrive.learning.report import IterationReport
-from arrive.learning.rundir import check_free, new_run_folder, owned, read_config, samples_before, write_config
+from arrive.learning.rundir import (
+    CONFIG_NAME,
+    check_free,
+    new_run_folder,
+    owned,
+    read_config,
+    samples_before,
+    write_config,
+)
 from arrive.learning.trainer import Budget, Trainer
 from arrive.lock import Lock
 from arrive.physics.device import choose_device, describe_device
-from arrive.policies import find_run
+from arrive.policies import find_policy
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
 
@@ -85,8 +94,7 @@ def _train(command: Train, run: _Run) -> None:
     if command.resume:
         trainer.load()
     elif command.start_from:
-        start = find_run(command.start_from)
-        before = trainer.warm_start(start / CHECKPOINT_NAME) + samples_before(read_config(start)[1])
+        before = _begin_from(trainer, find_policy(command.start_from))
     if log is None:
         trainer.train(run.budget, lambda result: None)
         return
@@ -96,6 +104,13 @@ def _train(command: Train, run: _Run) -> None:
     else:
         write_config(run.folder, run.config, before)  # last, so that a start that failed leaves the folder free
     _train_and_show(command, run, trainer, log)
+
+
+def _begin_from(trainer: Trainer, start: Path) -> int:
+    """Take another run's networks; policy steps of all runs before this one."""
+    checkpoint = start / CHECKPOINT_NAME
+    samples = trainer.warm_start(checkpoint if checkpoint.is_file() else read_policy(start))
+    return samples + (samples_before(read_config(start)[1]) if (start / CONFIG_NAME).is_file() else 0)
 
 
 def _build(run: _Run) -> ArriveEnv:

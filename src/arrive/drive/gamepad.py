@@ -90,6 +90,6 @@ def _pygame() -> ModuleType:
         import pygame
     except ImportError as error:
         raise ArriveError(
-            "a gamepad needs pygame: pip install 'arrive[gamepad]'. Or drive by a file with --script FILE.csv"
+            "a gamepad needs pygame: pip install pygame. Or drive by a file with --script FILE.csv"
         ) from error
     return pygame

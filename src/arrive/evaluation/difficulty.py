@@ -164,7 +164,7 @@ def origin_of(policy: Policy) -> dict[str, Any]:
     """Which policy was measured and where it is from."""
     config = policy.config
     return {
-        "name": policy.path.parent.name,
+        "name": policy.name,
         "task": config.task.name,
         "preset": config.preset,
         "terrain": list(config.terrain.families),

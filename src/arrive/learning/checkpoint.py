@@ -15,11 +15,11 @@ from torch import Tensor
 from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
 from arrive.files import read_bytes, write_bytes
+from arrive.policies import POLICY_NAME
 
 FORMAT = 2
 """Version of the files' layout."""
 CHECKPOINT_NAME = "checkpoint.pt"
-POLICY_NAME = "policy.pt"
 SEAL = b"arrive sha256 "
 """A file ends with this and the hexadecimal SHA-256 of all bytes before: the comment of the zip that torch writes."""
 DIGEST_BYTES = 64

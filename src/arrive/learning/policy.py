@@ -11,11 +11,11 @@ from torch import Tensor
 from arrive.config import Config
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
-from arrive.learning.checkpoint import POLICY_NAME, Origin, check_schema, load_policy_file
+from arrive.learning.checkpoint import Origin, check_schema, load_policy_file
 from arrive.learning.networks import Network
 from arrive.learning.ppo import make_actor
 from arrive.learning.rundir import require_imports, with_own_motor
-from arrive.policies import find_run
+from arrive.policies import POLICY_NAME, find_policy, results_folder
 
 CPU = torch.device("cpu")
 LOG_STD = "distribution.log_std_param"
@@ -35,6 +35,16 @@ class Policy:
     device: torch.device = CPU
     """Where it acts."""
 
+    @property
+    def folder(self) -> Path:
+        """Where its results lie and go."""
+        return results_folder(self.path)
+
+    @property
+    def name(self) -> str:
+        """What it is called: its folder's name."""
+        return self.folder.resolve().name
+
     @torch.inference_mode()
     def act(self, observation: Tensor) -> Tensor:
         """(n, joints) actions for (n, size) scaled observations, without exploration noise."""
@@ -52,19 +62,27 @@ class Policy:
 
 
 def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
-    """Read a policy file, or the policy in a run folder; nothing from the file is executed.
+    """Read a policy; nothing from its file is executed.
 
     Args:
-        path: of the file or the folder, or the name of a folder in `policies/`.
+        path: a run folder, a policy.pt, or the name of a shipped policy.
         device: where it acts, and where the environments that it is measured in live.
 
     Raises:
         ArriveError: missing, damaged, foreign, or its networks do not fit its configuration.
     """
-    path = find_run(path)
+    path = find_policy(path)
     path = path / POLICY_NAME if path.is_dir() else path
     require_imports(path.parent)
-    origin, weights = load_policy_file(path)
+    return assemble(*load_policy_file(path), path, device)
+
+
+def assemble(origin: Origin, weights: dict[str, Tensor], path: Path, device: torch.device | str) -> Policy:
+    """The policy of a file's actor.
+
+    Raises:
+        ArriveError: the weights do not fit the configuration.
+    """
     actor = _make_actor(origin, weights, path).to(device)
     config = with_own_motor(origin.config, path.parent)
     return Policy(path, config, origin.schema, origin.commit, origin.samples, actor, torch.device(device))

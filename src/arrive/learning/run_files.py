@@ -8,7 +8,6 @@ from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import (
     CHECKPOINT_NAME,
-    POLICY_NAME,
     Origin,
     check_fits,
     load_checkpoint,
@@ -17,6 +16,7 @@ from arrive.learning.checkpoint import (
 from arrive.learning.ranks import Ranks
 from arrive.learning.rundir import commit, with_own_motor
 from arrive.learning.state import Snapshot, TrainingState, snapshot_from
+from arrive.policies import POLICY_NAME
 
 
 def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: Path, ranks: Ranks) -> None:

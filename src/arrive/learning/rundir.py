@@ -15,10 +15,11 @@ from arrive import __version__
 from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
 from arrive.files import cannot_write, read_json, remove_unfinished, write_bytes, write_json
-from arrive.learning.checkpoint import CHECKPOINT_NAME, POLICY_NAME
+from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import LOG_NAME
 from arrive.lock import Lock
 from arrive.plugins import imported, require
+from arrive.policies import POLICY_NAME, RUNS
 
 CONFIG_NAME = "config.json"
 DIFFICULTY_NAME = "difficulty.json"
@@ -26,7 +27,6 @@ DIFFICULTY_NAME = "difficulty.json"
 LOCK_NAME = "run.lock"
 MOTOR_NAME = "motor.safetensors"
 """The run's own copy of its actuator network."""
-RUNS = Path("runs")
 
 
 def commit() -> str:
@@ -165,10 +165,13 @@ def with_own_motor(config: Config, folder: Path) -> Config:
 def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
     """The configuration a run was made with, and the whole record.
 
+    Args:
+        folder: of the run, or its configuration's file.
+
     Raises:
         ArriveError: the folder holds no run, or its configuration is not readable.
     """
-    path = folder / CONFIG_NAME
+    path = folder if folder.is_file() else folder / CONFIG_NAME
     try:
         if not path.is_file():
             raise ArriveError(f"{folder} is not a run folder: it has no {CONFIG_NAME}")

@@ -14,6 +14,7 @@ from arrive.config import Config
 from arrive.env import POLICY, ArriveEnv
 from arrive.learning.guard import NonFiniteError, all_finite, check_losses, check_terms
 from arrive.learning.interrupt import interruptible
+from arrive.learning.policy import Policy
 from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.recovery import Recovery
 from arrive.learning.report import IterationReport
@@ -139,9 +140,9 @@ class Trainer:
         resume_run(self.state, self.config, self.folder, self.ranks)
         self.recovery.keep()
 
-    def warm_start(self, path: Path) -> int:
-        """Begin with what another run's checkpoint has learnt; see `warm_start`."""
-        samples = warm_start(self.state, self.config, path)
+    def warm_start(self, start: Path | Policy) -> int:
+        """Begin with what another run or policy has learnt; see `warm_start`."""
+        samples = warm_start(self.state, self.config, start)
         self.recovery.keep()
         return samples
 

@@ -9,29 +9,54 @@ from torch import Tensor
 from arrive.config import Config, TerrainConfig
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import check_fits, load_checkpoint
+from arrive.learning.policy import Policy
 from arrive.learning.state import TrainingState
 from arrive.task.curriculum import deal_families
 
 
-def warm_start(state: TrainingState, config: Config, path: Path) -> int:
-    """Take networks and optimiser from another run's checkpoint, and the levels of the families that both have.
+def warm_start(state: TrainingState, config: Config, start: Path | Policy) -> int:
+    """Begin with what another run has learnt, or with a policy's network.
+
+    Of a checkpoint: networks and optimiser with their action noise, and the levels of the families that both have. Of a
+    policy: its actor; the critic is new, and robots begin on the first level. An exported file does not tell the noise.
+
+    Args:
+        start: a checkpoint, or a policy.
 
     Returns:
         Policy steps that the other run has made.
 
     Raises:
-        ArriveError: no readable checkpoint, or one of another robot, observation or size of networks.
+        ArriveError: it cannot be read, or is of another robot, observation or size of networks.
     """
+    samples = (_take_policy if isinstance(start, Policy) else _take_run)(state, config, start)
+    state.observations = state.env.get_observations()
+    return samples
+
+
+def _take_run(state: TrainingState, config: Config, path: Path) -> int:
     origin, saved = load_checkpoint(path)
     check_fits(origin, config.robot, state.env.observer.schema(), path)
     try:
         state.algorithm.load(saved["algorithm"], None, True)
         levels = reached_levels(saved, origin.config.terrain)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})") from error
+        raise _misfit(path, error) from error
     state.env.settle(levels)
-    state.observations = state.env.get_observations()
     return origin.samples
+
+
+def _take_policy(state: TrainingState, config: Config, policy: Policy) -> int:
+    policy.check(state.env)
+    try:
+        state.algorithm.get_policy().load_state_dict(policy.actor.state_dict())
+    except RuntimeError as error:
+        raise _misfit(policy.path, error) from error
+    return policy.samples
+
+
+def _misfit(path: Path, error: Exception) -> ArriveError:
+    return ArriveError(f"the networks in {path} do not fit: choose the same ppo.hidden. ({error})")
 
 
 def reached_levels(saved: dict[str, Any], terrain: TerrainConfig) -> dict[str, Tensor]:

@@ -16,7 +16,7 @@ from arrive.physics.options import PhysicsConfig
 from arrive.robots.robot import Robot
 
 DeviceWish = Literal["auto", "cpu", "cuda"]
-INSTALL_WARP = "pip install 'arrive[gpu]', then pip install --no-deps mujoco-warp"
+INSTALL_WARP = "pip install 'warp-lang>=1.19' 'absl-py>=2', then pip install --no-deps mujoco-warp"
 
 
 def why_no_gpu() -> str:

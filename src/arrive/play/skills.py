@@ -1,25 +1,16 @@
 """What a policy can do: the terrain it was trained on, and the hardest of it that it was measured to solve."""
 
-import json
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from arrive.config import Config, saved_config
 from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
-from arrive.policies import DEFAULT, SHIPPED, find_run, trained_names
+from arrive.policies import DEFAULT, find_policy, shipped_names
+from arrive.policies.solved import TELLING, amounts, solved_beside, solved_in
 from arrive.terrain import FAMILIES, Layout
-from arrive.terrain.ground import Ground, varies
-
-MEASURED = "difficulty.json"
-"""Result of `arrive eval --protocol difficulty` in a run folder."""
-SOLVED = "max_at_95"
-"""Its entry for the hardest value that is solved in 95 % of the episodes."""
-TELLING = ("gap", "pit", "stairs", "obstacles", "steps", "slope", "stairs_down", "slope_down", "rough")
-"""A policy that was trained on several of these opens on the first that it solves."""
+from arrive.terrain.ground import Ground
 
 
 @dataclass(frozen=True)
@@ -66,41 +57,16 @@ def open_skill(name: str | None) -> Skill:
     return Skill(name, policy, solved_in(policy.meta.get("evaluation")))
 
 
-def solved_in(measurement: Any) -> dict[str, float]:
-    """Hardest value solved at 95 % by family, from the content of a measurement; empty where it is none."""
-    try:
-        entries = {name: entry.get(SOLVED) for name, entry in measurement["families"].items() if name in FAMILIES}
-    except (KeyError, AttributeError, TypeError):
-        return {}
-    return {family: float(value) for family, value in entries.items() if _within(family, value)}
-
-
-def solved_beside(run: Path) -> dict[str, float]:
-    """The same of a run folder, without reading its policy."""
-    try:
-        return solved_in(json.loads((run / MEASURED).read_text()))
-    except (OSError, ValueError):
-        return {}
-
-
-def _within(family: str, value: object) -> bool:
-    """Whether a file's value is one of the family's parameter."""
-    kind = FAMILIES[family]
-    return isinstance(value, int | float) and math.isfinite(value) and kind.lowest <= value <= kind.highest
-
-
 def choices(current: str) -> dict[str, str]:
     """Names of the policies at hand by what a chooser shows, the current one among them."""
-    names = sorted({*SHIPPED, *trained_names(), current})
+    names = sorted({*shipped_names(), current})
     return {_label(name): name for name in names}
 
 
 def _label(name: str) -> str:
-    solved = {} if name in SHIPPED else solved_beside(find_run(Path(name)))
-    solved = {family: value for family, value in solved.items() if varies(FAMILIES[family])}
-    short = Path(name).name if name not in SHIPPED else name
+    solved = amounts(solved_beside(find_policy(name)))
+    short = Path(name).name
     if not solved:
         return short
-    first, *others = sorted(solved, key=lambda family: (*TELLING, family).index(family))
-    amount = Ground(FAMILIES[first], solved[first]).amount
-    return f"{short}: {first} {amount}" + (f" and {len(others)} more" if others else "")
+    others = f" and {len(solved) - 1} more" if len(solved) > 1 else ""
+    return f"{short}: {solved[0]}{others}"

@@ -1,31 +1,71 @@
-"""Policies by name: exported ones that come with the package, and the run folders of a checkout's `policies/`.
+"""Policies by name: those that come with the package, as run folders.
 
-Another exported one is a file beside this one and a line in `SHIPPED`.
+In a checkout they lie in `policies/`; a wheel has of each what running, measuring and exporting it takes.
 """
 
+import difflib
 from pathlib import Path
 
-SHIPPED: dict[str, str] = {
-    "joystick": "follows a stick, trained on all terrains (policies/joystick)",
-}
-"""Name and description of each shipped policy; its file is NAME.onnx."""
+from arrive.errors import ArriveError
+
 DEFAULT = "joystick"
 """The one that is run where none is named."""
 EXPORTED = ".onnx"
-TRAINED = Path(__file__).parents[3] / "policies"
-"""Run folders of trained policies; an installed package has none."""
+POLICY_NAME = "policy.pt"
+"""File of the network in a run folder."""
+RUNS = Path("runs")
+"""Where `arrive train` puts new runs."""
+PACKED = Path(__file__).parent / "shipped"
+"""Where an installed package has the shipped policies; see setup.py."""
+SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parents[3] / "policies"
 
 
-def shipped_file(name: str) -> Path:
-    """The file of one of the policies in `SHIPPED`."""
-    return Path(__file__).parent / f"{name}{EXPORTED}"
+def shipped_names() -> list[str]:
+    """Names of the shipped policies."""
+    return _runs_in(SHIPPED)
 
 
-def trained_names() -> list[str]:
-    """Names of the run folders in `TRAINED`."""
-    return sorted(path.name for path in TRAINED.glob("*") if path.is_dir())
+def find_policy(name: Path | str) -> Path:
+    """The file or folder of the policy that a person names; every command takes policies this way.
+
+    Args:
+        name: a run folder, a policy.pt, an exported file, or the name of a shipped policy. What lies in the current
+            folder goes first.
+
+    Raises:
+        ArriveError: it is none of these; the message says what may be meant.
+    """
+    path, shipped = Path(name), SHIPPED / name
+    if path.is_file() or (path / POLICY_NAME).is_file():
+        return path
+    if str(name) in shipped_names():
+        return shipped
+    if path.exists():
+        raise ArriveError(f"{path} is no policy: there is no file {path / POLICY_NAME}")
+    raise ArriveError(f"there is no policy {str(name)!r}.{_meant(str(name))}")
 
 
-def find_run(path: Path) -> Path:
-    """The path itself, or the folder in `TRAINED` of that name where nothing lies at the path."""
-    return TRAINED / path if not path.exists() and str(path) in trained_names() else path
+def results_folder(path: Path) -> Path:
+    """Where a policy's results lie and go: its run folder, or for an exported file a folder of its name beside it.
+
+    An installed package is not written to: results of its policies go to a folder of their name in `RUNS`.
+    """
+    folder = path.with_suffix("") if path.suffix == EXPORTED else path.parent
+    return RUNS / folder.name if PACKED in folder.parents else folder
+
+
+def _runs_in(folder: Path) -> list[str]:
+    return sorted(path.parent.name for path in folder.glob(f"*/{POLICY_NAME}"))
+
+
+def _meant(name: str) -> str:
+    """What a name that does not exist may stand for, and what there is."""
+    known = {run: run for run in shipped_names()}
+    for run in _runs_in(RUNS):
+        known |= {run: str(RUNS / run), str(RUNS / run): str(RUNS / run)}
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f" Did you mean {known[close[0]]}?" if close else ""
+    return (
+        f"{hint} Give a run folder, a {POLICY_NAME}, a file of `arrive export`, "
+        f"or a shipped policy: {', '.join(shipped_names())}"
+    )

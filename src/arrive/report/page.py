@@ -234,7 +234,7 @@ def _joined(values: Sequence[float]) -> str:
 def _usage(runs: Sequence[Run]) -> str:
     rows = []
     for family in dict.fromkeys(name for run in runs for name in run.results()):
-        for run in (run for run in runs if family in run.results()):
+        for run in (run for run in runs if run.difficulty and family in run.difficulty["policy"]["usage"]):
             easiest = run.difficulty["policy"]["usage"][family][0]
             if easiest["episodes"]:
                 time, path = easiest["arrival_time_s"], easiest["path_length_m"]

@@ -9,6 +9,7 @@ from arrive.evaluation.difficulty import read_measured
 from arrive.evaluation.reach import REACH_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import DIFFICULTY_NAME, read_config, samples_before
+from arrive.policies import EXPORTED
 from arrive.terrain import get_family
 
 DIFFICULTY_PICTURES = "pictures/difficulty"
@@ -105,12 +106,15 @@ def _results(name: str, entry: dict[str, Any]) -> list[CellResult]:
     ]
 
 
-def read_run(folder: Path) -> Run:
-    """Read a run's folder.
+def read_run(path: Path) -> Run:
+    """Read a run's folder, also by a file in it, or what an exported file says of its run.
 
     Raises:
-        ArriveError: no run, or a file in it that cannot be read.
+        ArriveError: no run, or a file that cannot be read.
     """
+    if path.suffix == EXPORTED:
+        return _read_exported(path)
+    folder = path if path.is_dir() else path.parent
     _, record = read_config(folder)
     difficulty, reach = (read_measured(folder / name) for name in (DIFFICULTY_NAME, REACH_NAME))
     strips = {
@@ -124,3 +128,16 @@ def read_run(folder: Path) -> Run:
         pictures={name: path for name, path in strips.items() if path.is_file()},
         reach=reach,
     )
+
+
+def _read_exported(path: Path) -> Run:
+    """An exported file has no log and no pictures, and does not tell how the robots spent their time."""
+    # Imported here because only this needs onnxruntime.
+    from arrive.deployment.policy_file import read_policy_file
+
+    meta = read_policy_file(path).meta
+    training, measured = meta["training"], meta["evaluation"]
+    record = {name: training[name] for name in ("config", "commit")}
+    record |= {"command": f"arrive export {path.name}", "seed": training["config"]["seed"]}
+    difficulty = measured and measured | {"policy": {"samples": training["samples"], "usage": {}}}
+    return Run(name=path.stem, record=record, log={}, difficulty=difficulty, pictures={})

@@ -1,0 +1,47 @@
+"""What policies were measured to solve, read from `arrive eval --protocol difficulty`."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from arrive.terrain import FAMILIES
+from arrive.terrain.ground import Ground, varies
+
+MEASURED = "difficulty.json"
+"""Result of a measurement in a run folder."""
+SOLVED = "max_at_95"
+"""Its entry for the hardest value that is solved in 95 % of the episodes."""
+TELLING = ("gap", "pit", "stairs", "obstacles", "steps", "slope", "stairs_down", "slope_down", "rough")
+"""Terrains by how much they say of a policy that solves them."""
+
+
+def solved_in(measurement: Any) -> dict[str, float]:
+    """Hardest value solved at 95 % by family, from the content of a measurement; empty where it is none."""
+    try:
+        entries = {name: entry.get(SOLVED) for name, entry in measurement["families"].items() if name in FAMILIES}
+    except (KeyError, AttributeError, TypeError):
+        return {}
+    return {family: float(value) for family, value in entries.items() if _within(family, value)}
+
+
+def solved_beside(path: Path) -> dict[str, float]:
+    """The same of a run folder or a file in it, without reading the policy."""
+    run = path if path.is_dir() else path.parent
+    try:
+        return solved_in(json.loads((run / MEASURED).read_text()))
+    except (OSError, ValueError):
+        return {}
+
+
+def _within(family: str, value: object) -> bool:
+    """Whether a file's value is one of the family's parameter."""
+    kind = FAMILIES[family]
+    return isinstance(value, int | float) and math.isfinite(value) and kind.lowest <= value <= kind.highest
+
+
+def amounts(solved: dict[str, float]) -> list[str]:
+    """What was solved in words, such as "gap 0.4 m", the most telling first; nothing of terrain without a parameter."""
+    varying = [family for family in solved if varies(FAMILIES[family])]
+    varying.sort(key=lambda family: (*TELLING, family).index(family))
+    return [f"{family} {Ground(FAMILIES[family], solved[family]).amount}" for family in varying]
