@@ -19,6 +19,7 @@ from arrive.commands.options import (
     List,
     Play,
     Report,
+    Showreel,
     Train,
     Verify,
 )
@@ -41,6 +42,7 @@ Command = (
     | Annotated[Gait, tyro.conf.subcommand("gait")]
     | Annotated[Drive, tyro.conf.subcommand("drive")]
     | Annotated[Play, tyro.conf.subcommand("play")]
+    | Annotated[Showreel, tyro.conf.subcommand("showreel")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -147,6 +149,7 @@ def _run(command: Command) -> None:
         Gait: ("gait", "gait"),
         Drive: ("drive", "run_drive"),
         Play: ("play", "run_play"),
+        Showreel: ("showreel", "showreel"),
         Export: ("export", "export"),
         Verify: ("export", "verify_file"),
         Bench: ("bench", "bench"),

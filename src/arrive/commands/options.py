@@ -217,6 +217,17 @@ class Play:
 
 
 @dataclass(frozen=True)
+class Showreel:
+    """Make an animated picture of robots on the terrains that policies solve."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Policies, as for `arrive eval`, on the terrain that each opens on in `arrive play`; for every terrain the shipped
+    policy that solves the hardest by default."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("showreel.webp")
+    """File to write, at most 3 MB."""
+
+
+@dataclass(frozen=True)
 class Export:
     """Write a policy as one ONNX file with all that a robot's computer must know to run it."""
 
