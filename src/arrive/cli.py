@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from arrive import __version__
 from arrive.commands.actuator import Actuator
 from arrive.commands.limits import check_limits
 from arrive.commands.options import (
@@ -61,6 +62,9 @@ def main(arguments: list[str] | None = None) -> None:
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
     _show_anything()
+    if words == ["--version"]:
+        print(f"arrive {__version__}")
+        return
     imports, words = _imports(words)
     description = f"{__doc__} {DEBUG} shows tracebacks; {IMPORT} FILE.py adds robots, terrains and more of your own."
     try:

@@ -30,12 +30,14 @@ def make_config(
     seed: int | None = None,
     overrides: tuple[str, ...] = (),
     robot: str | None = None,
+    base: Config | None = None,
 ) -> Config:
     """Put a configuration together; what is None stays as the preset has it.
 
     Args:
         overrides: PATH=VALUE, applied last.
         robot: by name; lengths, masses and weights of the preset are fitted to its size.
+        base: what is changed in place of a preset, such as another run's configuration.
 
     Raises:
         ArriveError: an unknown name, or a value out of range.
@@ -43,15 +45,16 @@ def make_config(
     for path, option in CHOSEN.items():
         if any(assignment.partition("=")[0].strip() == path for assignment in overrides):
             raise ArriveError(f"{path} is not set by name: choose it with {option}")
-    config = get_preset(preset or DEFAULT_PRESET)
+    config = base or get_preset(preset or DEFAULT_PRESET)
     config = replace(
         config,
         terrain=replace(config.terrain, families=tuple(family.name for family in families)),
-        task=get_task(task or config.task.name).from_preset(config.task),
+        task=config.task if base else get_task(task or config.task.name).from_preset(config.task),
         num_envs=config.num_envs if num_envs is None else num_envs,
         seed=config.seed if seed is None else seed,
     )
-    config = for_robot(config, get_robot(robot or config.robot))
+    if base is None:
+        config = for_robot(config, get_robot(robot or config.robot))
     config = override(config, overrides)
     # Chosen once, so that a run keeps it wherever it goes on.
     config = replace(config, ppo=replace(config.ppo, precision=choose_precision(config.ppo.precision)))

@@ -43,9 +43,15 @@ class Train:
     critic, the actor alone."""
     out: Path | None = None
     """Folder of the run; one under runs/ by default."""
+    config: Path | None = None
+    """A run's config.json, or its folder, whose configuration is taken in place of a preset's."""
     set: tuple[str, ...] = ()
     """Changes to the configuration as PATH=VALUE, e.g. ppo.gamma=0.99 task.rewards.stall_cost=-2; `arrive list config`
     has all fields."""
+    logger: Literal["tensorboard", "wandb"] = "tensorboard"
+    """Where curves go beside log.csv; `wandb` (Weights & Biases; pip install wandb) is TensorBoard and wandb."""
+    film_minutes: Annotated[float | None, POSITIVE] = None
+    """Film a robot of the newest policy this often into the folder films/ of the run [min]."""
 
 
 @dataclass(frozen=True)
@@ -207,6 +213,8 @@ class Play:
     """One of the policy's own levels, as in `arrive eval`."""
     layout: Literal["evaluation", "training"] = "evaluation"
     """`evaluation`: the terrain lies between the robot and its target; `training`: all around the robot."""
+    follow: bool = False
+    """Go on with the newest network whenever the run in progress writes one."""
     port: Annotated[int, Range(1, 65535)] = 8080
     """Port of the page."""
     host: str = "127.0.0.1"

@@ -17,6 +17,7 @@ def run_play(command: Play) -> None:
     for package, requirement in (("viser", "viser>=1.1,<2"), ("onnxruntime", "onnxruntime")):
         if importlib.util.find_spec(package) is None:
             raise ArriveError(f"this needs {package}: pip install '{requirement}'")
+    from arrive.play.follow import Follower
     from arrive.play.playground import Playground
     from arrive.play.server import open_server
     from arrive.play.session import Session
@@ -25,10 +26,13 @@ def run_play(command: Play) -> None:
     server, door = open_server(command.host, command.port)
     stop = threading.Event()
     session = Session(server, playground)
+    follower = Follower(playground.skill.name, session.post) if command.follow else None
     try:
         print(f"play: {door.address} (Ctrl-C ends it)", flush=True)
         if command.seconds is not None:
             threading.Timer(command.seconds, stop.set).start()
+        if follower is not None:
+            threading.Thread(target=follower.run, args=(stop,), daemon=True).start()
         session.run(stop)
     except KeyboardInterrupt:
         pass

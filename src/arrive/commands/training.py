@@ -13,6 +13,7 @@ import torch
 from rich.progress import Progress
 
 from arrive.build import Placement, build_env
+from arrive.commands.films import Films
 from arrive.commands.policies import read_policy
 from arrive.commands.threads import use_threads
 from arrive.config import Config
@@ -88,7 +89,9 @@ def _train(command: Train, run: _Run) -> None:
     if run.ranks.leads:
         together = f", {run.ranks.count} processes" if run.ranks.count > 1 else ""
         print(describe_device(run.device, command.device, run.threads, run.config.physics.engine) + together)
-    log = RunLog(run.folder) if run.ranks.leads else None  # read before anything is built: it may be damaged
+    log = (
+        RunLog(run.folder, command.logger) if run.ranks.leads else None
+    )  # read before anything is built: it may be damaged
     trainer = Trainer(run.config, _build(run), run.folder, run.ranks)
     before = 0
     if command.resume:
@@ -103,6 +106,7 @@ def _train(command: Train, run: _Run) -> None:
         log.resume_at(trainer.state.iteration)
     else:
         write_config(run.folder, run.config, before)  # last, so that a start that failed leaves the folder free
+    log.describe(run.config)
     _train_and_show(command, run, trainer, log)
 
 
@@ -135,11 +139,12 @@ def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog) ->
         log.flush()
 
     title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
-    with closing(log), TrainingDisplay(title, folder) as display:
+    with closing(log), closing(Films(folder, command.film_minutes)) as films, TrainingDisplay(title, folder) as display:
 
         def report(result: IterationReport) -> None:
             log.write(result)
             display.update(result)
+            films.tick(result.samples)
 
         trainer.train(run.budget, report, before_save)
     if trainer.state.iteration:
@@ -180,9 +185,13 @@ def _parse_samples(text: str) -> float:
 
 
 def _fresh(command: Train) -> tuple[Config, Path]:
-    families = parse_families(command.terrain)
+    families, base = parse_families(command.terrain), None
+    if command.config:
+        if command.preset or command.task or command.robot:
+            raise ArriveError("--config brings its own preset, task and robot; leave these out, or --config")
+        base, _ = read_config(command.config)
     config = make_config(
-        families, command.preset, command.task, command.num_envs, command.seed, command.set, command.robot
+        families, command.preset, command.task, command.num_envs, command.seed, command.set, command.robot, base
     )
     return config, new_run_folder(config, command.out)
 
@@ -206,7 +215,7 @@ def _resumed(command: Train) -> tuple[Config, Path]:
         "seed": config.seed,
     }
     changed = [name for name, value in present.items() if getattr(command, name) not in (None, value)]
-    changed += [name for name in ("set", "start_from", "out") if getattr(command, name)]
+    changed += [name for name in ("set", "config", "start_from", "out") if getattr(command, name)]
     if changed:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
         raise ArriveError(f"a resumed run keeps its configuration: --resume goes without another {flags}")

@@ -1,12 +1,14 @@
 """The log of a run: `log.csv`, one row per iteration, and the same figures for TensorBoard."""
 
 import csv
+import importlib.util
 import io
 import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arrive.config import Config
 from arrive.errors import ArriveError
 from arrive.files import cannot_write, read_text, write_text
 from arrive.learning.report import IterationReport
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
 
 LOG_NAME = "log.csv"
 TENSORBOARD_NAME = "tensorboard"
+PROJECT = "arrive"
+"""Project of the runs on Weights & Biases."""
 
 Row = dict[str, str]
 
@@ -23,12 +27,17 @@ Row = dict[str, str]
 class RunLog:
     """Writes every report to `log.csv` and to TensorBoard event files in `folder`, and continues an existing log."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, logger: str = "tensorboard"):
         """
+        Args:
+            logger: `tensorboard`, or `wandb` for TensorBoard and Weights & Biases by rsl_rl's writer.
+
         Raises:
-            ArriveError: the folder cannot be written, or holds a damaged log.
+            ArriveError: the folder cannot be written, or holds a damaged log, or wandb is not installed.
         """
-        self._folder = Path(folder)
+        if logger == "wandb" and not has_wandb():
+            raise ArriveError("--logger wandb needs Weights & Biases: pip install wandb")
+        self._folder, self._logger = Path(folder), logger
         self._path = self._folder / LOG_NAME
         self._columns: list[str] = ["iteration"]
         self._events: SummaryWriter | None = None
@@ -149,17 +158,36 @@ class RunLog:
 
     def _write_events(self, report: IterationReport, scalars: dict[str, float]) -> None:
         if self._events is None:
-            # Imported on use: it takes seconds, which `arrive report` need not wait for.
-            from torch.utils.tensorboard import SummaryWriter
-
-            folder = self._folder / TENSORBOARD_NAME
-            self._events = SummaryWriter(str(folder), purge_step=self._purge_step, flush_secs=30)
+            self._events = self._open_events()
         for name, value in scalars.items():
             if math.isfinite(value):  # a NaN is an arrival rate before the first episode has ended
                 self._events.add_scalar(name, value, report.iteration)
         for name in report.warnings.keys() - self._warned:
             self._events.add_text(f"warnings/{name}", report.warnings[name], report.iteration)
         self._warned = set(report.warnings)
+
+    def describe(self, config: Config) -> None:
+        """Tell Weights & Biases the run's configuration, where it is used."""
+        if self._logger == "wandb":
+            self._events = self._open_events()
+            self._events.store_config(config, {})
+
+    def _open_events(self) -> "SummaryWriter":
+        # Imported on use: it takes seconds, which `arrive report` need not wait for.
+        folder = self._folder / TENSORBOARD_NAME
+        if self._logger == "wandb":
+            from rsl_rl.utils.wandb_log_writer import WandbLogWriter
+
+            # It calls its run by the name of this folder.
+            return WandbLogWriter(str(folder / self._folder.resolve().name), PROJECT)
+        from torch.utils.tensorboard import SummaryWriter
+
+        return SummaryWriter(str(folder), purge_step=self._purge_step, flush_secs=30)
+
+
+def has_wandb() -> bool:
+    """Whether Weights & Biases is installed."""
+    return importlib.util.find_spec("wandb") is not None
 
 
 def read_log(folder: Path) -> dict[str, list[float]]:

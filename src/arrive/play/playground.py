@@ -88,6 +88,16 @@ class Playground:
         self.aim = self._point(*first_aim(robot.tile, ground))
         self.messages.append(f"{skill.name} on {ground.words}")
 
+    def learn(self, skill: Skill) -> None:
+        """Go on where the robot is with another network for the same robot.
+
+        Raises:
+            ArriveError: the policy is for another configuration; nothing changes.
+        """
+        self.driver.controller = Controller(skill.policy)
+        self.skill = skill
+        self.messages.append(f"{skill.name} after {skill.samples / 1e6:.1f} M samples")
+
     @property
     def robot(self) -> SimulatedRobot:
         """The robot on its tile."""

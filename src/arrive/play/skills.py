@@ -32,6 +32,11 @@ class Skill:
         return saved_config(self.policy.meta["training"]["config"], self.policy.path)
 
     @property
+    def samples(self) -> int:
+        """Policy steps it was trained for."""
+        return int(self.policy.meta["training"]["samples"])
+
+    @property
     def levels(self) -> int:
         """Number of its own levels."""
         return self.config.terrain.levels

@@ -1,0 +1,58 @@
+"""The newest network of a run in progress, as soon as it is written."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from arrive.errors import ArriveError
+from arrive.play.playground import Playground
+from arrive.play.skills import open_skill
+from arrive.policies import POLICY_NAME, find_policy
+
+PERIOD_S = 2.0
+"""Between two looks at the file [s]."""
+
+
+class Follower:
+    """Looks at the file of a run's policy from a thread of its own, and hands each new network to the simulation."""
+
+    def __init__(self, name: str, post: Callable[[Callable[[Playground], None]], None]):
+        """Begin to look at the next call of `run`.
+
+        Args:
+            post: takes what is to be done between two control steps.
+
+        Raises:
+            ArriveError: there is no such run.
+        """
+        path = find_policy(name)
+        self._name, self._post = name, post
+        self._file = path / POLICY_NAME if path.is_dir() else path
+        self._seen = self._stamp()
+
+    def run(self, stop: threading.Event) -> None:
+        """Look until told to stop."""
+        while not stop.wait(PERIOD_S):
+            self.look()
+
+    def look(self) -> None:
+        """Read the policy if its file is another one than last time."""
+        stamp = self._stamp()
+        if stamp in (self._seen, None):
+            return
+        self._seen = stamp
+        try:
+            skill = open_skill(self._name)
+        except ArriveError as error:
+            message = str(error)
+            self._post(lambda playground: playground.messages.append(message))
+        else:
+            self._post(lambda playground: playground.learn(skill) if playground.skill.name == skill.name else None)
+
+    def _stamp(self) -> tuple[int, int] | None:
+        """What a file that was replaced has another of; None while there is none."""
+        try:
+            status = Path(self._file).stat()
+        except OSError:
+            return None
+        return status.st_mtime_ns, status.st_ino
