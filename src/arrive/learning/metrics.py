@@ -33,6 +33,9 @@ METRICS = (
     Metric("exploration/task_fraction", "share", "task reward of its maximum while it is paid, mean of the families"),
     Metric("rewards/TERM", "reward per step", "weighted reward of one term per policy step, mean of the iteration"),
     Metric("learning/value", "loss", "value loss of PPO, mean of the mini-batches"),
+    Metric(
+        "learning/explained_variance", "1", "share of the returns' variance that the critic foresaw, before the update"
+    ),
     Metric("learning/surrogate", "loss", "clipped surrogate loss of PPO, mean of the mini-batches"),
     Metric("learning/entropy", "nat", "entropy of the action distribution"),
     Metric(
