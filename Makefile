@@ -13,11 +13,13 @@ demo: $(STAMP)
 
 test: $(STAMP) $(WARP)
 	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
+	$(BIN)/mypy
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff check src tests benchmarks scripts examples docs/conf.py
 	$(BIN)/ruff format --check src tests benchmarks scripts examples docs/conf.py
+	$(BIN)/mypy
 
 coverage: $(STAMP) $(WARP)
 	$(BIN)/python -m pytest --cov=arrive --cov-report=term:skip-covered --cov-report=html:build/coverage

@@ -1,6 +1,7 @@
 """What robots' specs are put together from: inertials, hinges and collision shapes."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 
@@ -40,19 +41,19 @@ def add_hinge(body: mujoco.MjsBody, name: str, axis: Vec3, limits: tuple[float, 
     body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, range=limits, limited=True)
 
 
-def collide(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties) -> None:
+def collide(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties: Any) -> None:
     """Add a geom that collides with the terrain (`contype` 1) and not with the robot (`conaffinity` 0)."""
     properties = {"rgba": [0.3, 0.5, 0.8, 0.5]} | properties
     properties |= {"group": COLLISION_GROUP, "contype": 1, "conaffinity": 0, "condim": 3, "mass": 0.0}
     body.add_geom(type=shape, **properties)
 
 
-def collide_capsule(body: mujoco.MjsBody, start: Vec3, end: Vec3, radius: float, **properties) -> None:
+def collide_capsule(body: mujoco.MjsBody, start: Vec3, end: Vec3, radius: float, **properties: Any) -> None:
     """Add a capsule that collides with the terrain [m]."""
     collide(body, mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *end], size=[radius, 0, 0], **properties)
 
 
-def show(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties) -> None:
+def show(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties: Any) -> None:
     """Add a geom that is only looked at."""
     body.add_geom(type=shape, group=VISUAL_GROUP, contype=0, conaffinity=0, mass=0.0, **properties)
 

@@ -53,7 +53,7 @@ class Robot:
     joint_reverse: tuple[tuple[str, float], ...] | None = None
     """The same under front-back reflection; None for a robot whose hind legs are no mirror image of the front ones."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse what does not fit together.
 
         Raises:

@@ -117,7 +117,10 @@ def build_spec(visuals: bool = True) -> mujoco.MjSpec:
 
 def _add_leg(base: mujoco.MjsBody, leg: Leg) -> None:
     """Hip, thigh, calf and foot of one leg with their joints, collision shapes and foot site."""
-    place = lambda point: (point[0], leg.y_sign * point[1], point[2])  # noqa: E731
+
+    def place(point: Vec3) -> Vec3:
+        return point[0], leg.y_sign * point[1], point[2]
+
     hip = base.add_body(name=f"{leg.name}_hip", pos=(leg.x_sign * HIP_IN_BASE[0], leg.y_sign * HIP_IN_BASE[1], 0.0))
     set_inertial(hip, HIP.reflected(leg.x_sign, leg.y_sign))
     thigh = hip.add_body(name=f"{leg.name}_thigh", pos=place(THIGH_IN_HIP))
