@@ -38,11 +38,6 @@ METRICS = (
     ),
     Metric("learning/surrogate", "loss", "clipped surrogate loss of PPO, mean of the mini-batches"),
     Metric("learning/entropy", "nat", "entropy of the action distribution"),
-    Metric(
-        "learning/explained_variance",
-        "share",
-        "returns' variance that the critic explained before the update; 1 is all",
-    ),
     Metric("learning/learning_rate", "1", "learning rate after the update, adapted to the KL divergence"),
     Metric("learning/action_std", "action units", "standard deviation of the action noise, mean of the joints"),
     Metric("learning/crash_cost", "reward", "cost of a crash, as the schedule sets it"),
