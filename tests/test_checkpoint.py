@@ -240,9 +240,9 @@ def test_code_in_a_file_is_not_executed(tmp_path, kind):
     assert target.exists(), "the file would have done nothing anyway"
 
 
-@pytest.mark.parametrize("missing", ["nowhere/policy.pt", "."])
-def test_a_missing_file_is_named(tmp_path, missing):
-    with pytest.raises(ArriveError, match=r"no file .*policy\.pt"):
+@pytest.mark.parametrize(("missing", "words"), [("nowhere/policy.pt", "no policy "), (".", "no file ")])
+def test_a_missing_file_is_named(tmp_path, missing, words):
+    with pytest.raises(ArriveError, match=rf"{words}.*policy\.pt"):
         load_policy(tmp_path / missing)
 
 

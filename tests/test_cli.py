@@ -106,8 +106,8 @@ def test_an_unknown_name_lists_the_valid_ones(refused, arguments, valid):
         (["train", "flat", "--set", "terrain.levels=0"], ["terrain.levels", "at least 1"]),
         (["train", "flat", "--resume", "."], [".", "not a run folder", "config.json"]),
         (["train", "flat", "--resume", "no/such/folder"], ["no/such/folder", "not a run folder"]),
-        (["train", "flat", "--num-envs", "4", "--start-from", "nowhere"], ["no file", "nowhere/checkpoint.pt"]),
-        (["eval", "nowhere"], ["no file nowhere"]),
+        (["train", "flat", "--num-envs", "4", "--start-from", "nowhere"], ["there is no policy 'nowhere'"]),
+        (["eval", "nowhere"], ["there is no policy 'nowhere'", "gap, joystick"]),
         (["eval", "."], ["no file", "policy.pt"]),
     ],
 )

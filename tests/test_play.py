@@ -615,9 +615,9 @@ def test_what_the_command_is_asked_is_checked(capsys):
     assert "levels are 0 to 19" in refused(capsys, "--terrain", "gap", "--level", "20")
     assert "0.02 to 1.4 m" in refused(capsys, "--terrain", "gap=4")
     assert "not both" in refused(capsys, "--terrain", "gap=0.4", "--level", "2")
-    assert "--host is empty" in refused(capsys, "--host", "")
+    assert "after '--host' is empty" in refused(capsys, "--host", "")
     assert "--seconds" in refused(capsys, "--seconds", "nan")
-    assert DEFAULT in refused(capsys, "nothing").partition("name of a policy:")[2]
+    assert DEFAULT in refused(capsys, "nothing").partition("shipped policy:")[2]
 
 
 def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):

@@ -252,8 +252,9 @@ def test_the_path_lies_on_the_ground():
 
 def test_path_and_target_are_in_view_at_every_step():
     episode = make_episode()
+    cameras = pictures._Cameras(episode, 16 / 9, 45.0)
     for step in (0, 25, 50):
-        camera = pictures._camera(episode, step, 16 / 9, 45.0)
+        camera = cameras.at(step)
         eye = camera.lookat - camera.distance * pictures._axes(camera)[0]
         points = np.vstack([episode.qpos[:, :3], episode.target_w])
         forward, right, up = pictures._axes(camera) @ (points - eye).T

@@ -240,6 +240,12 @@ def test_the_same_seed_builds_the_same_tile_and_another_seed_only_if_random(name
     assert np.array_equal(first.heights, other.heights) is not FAMILIES[name].random
 
 
+def longest_run(flags: np.ndarray) -> int:
+    """How many flags in a row are set at most."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return int((ends[1::2] - ends[::2]).max(initial=0))
+
+
 def hardness(tile: Tile) -> dict[str, float]:
     """What makes training ground hard: what robots must step over, up or around."""
     heights, crossing = tile.heights, tile.crossing
@@ -249,6 +255,7 @@ def hardness(tile: Tile) -> dict[str, float]:
         "deepest": float(-heights.min()),
         "highest": float(heights.max()),
         "hole": float((heights < -0.02).mean()) if tile.fall_height > -np.inf else 0.0,
+        "widest hole": float(longest_run(profile(tile, cell_centers()).ravel() < -0.02)),
         "boxes": float(len(tile.boxes)) if not tile.parted else 0.0,
         "roughness": float(heights[crossing].std()),
     }
