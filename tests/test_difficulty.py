@@ -42,7 +42,7 @@ def configured(task: str, **changes) -> Config:
     """The paper's preset for a task, with few worlds."""
     config = get_preset("paper")
     task = get_task(task).from_preset(config.task)
-    return replace(config, terrain=TerrainConfig(variants=1), num_envs=1, task=task, **changes)
+    return replace(config, **({"terrain": TerrainConfig(variants=1), "num_envs": 1, "task": task} | changes))
 
 
 def a_state(n: int = 1, **values) -> State:

@@ -16,7 +16,8 @@ def benchmark():
     return module
 
 
-def test_it_trains_measures_and_goes_on_where_it_stopped(benchmark, tmp_path):
+def test_it_trains_measures_and_goes_on_where_it_stopped(benchmark, tmp_path, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "disable")  # films are not what is tested
     arguments = benchmark.Arguments(("flat",), (1, 2), "200", TINY, processes=1, episodes=2, out=tmp_path)
     benchmark.main(arguments)
     rows = json.loads((tmp_path / "table.json").read_text())["runs"]

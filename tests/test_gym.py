@@ -169,8 +169,8 @@ def test_a_crash_terminates_with_its_cause_and_only_there():
 
 @pytest.mark.parametrize(("task", "truncates"), [("final", False), ("continuous", False), ("velocity", True)])
 def test_the_end_of_time_truncates_only_where_time_is_not_observed(task, truncates):
-    overrides = (*SMALL, "task.episode_s=0.4")
-    overrides += ("task.reward_window_s=0.4",) if task == "continuous" else ()
+    shorter = {"final": ("episode_min_s", "reward_window_s"), "continuous": ("episode_min_s",), "velocity": ()}[task]
+    overrides = (*SMALL, "task.episode_s=0.4", *(f"task.{name}=0.4" for name in shorter))
     envs = make(num_envs=2, level=0, task=task, overrides=overrides)
     envs.reset(seed=2)
     *_, (_, _, terminations, truncations, _) = rollout(envs, 20, scale=0.0)

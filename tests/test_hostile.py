@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from actuator_networks import lstm
-from arrive import cli, memory
+from arrive import cli, room
 from arrive.actuation.logs import COLUMNS
 from arrive.actuation.network_file import write_network
 from arrive.commands import actuator
@@ -95,7 +95,7 @@ def there(place, monkeypatch):
     """In that folder, without graphics, on a machine with a fixed amount of memory."""
     monkeypatch.chdir(place)
     monkeypatch.setenv("MUJOCO_GL", "disabled")
-    monkeypatch.setattr(memory, "free_memory", lambda: FREE)
+    monkeypatch.setattr(room, "free_memory", lambda: FREE)
     graphics.graphics_backend.cache_clear()
     yield place
     graphics.graphics_backend.cache_clear()
@@ -150,7 +150,8 @@ def samples(place) -> list[Sample]:
     taps = ["actuator", "fit", "log.npz", "--epochs", "1", "--threads", "1", "--out", "fit.safetensors"]
     return [
         Sample([*train, "--set", *TINY], amounts | common | build | {"out": outputs[1:], "device": CHOICE,
-               "start_from": runs("checkpoint.pt", "config.json")}, {1: TERRAIN}, 4),
+               "start_from": runs("checkpoint.pt", "config.json"), "config": runs("config.json"), "logger": NAME,
+               "film_minutes": POSITIVE}, {1: TERRAIN}, 4),
         Sample(resume, amounts | common | {"resume": runs("checkpoint.pt", "config.json", "log.csv")}, {1: TERRAIN}, 2),
         Sample([*evaluate, "--json", "eval.json", "--pictures", "pictures"],
                common | level | {"protocol": NAME, "levels": LEVEL, "value": bad("nan", "inf", "-1e308", "x"),
@@ -206,7 +207,7 @@ def test_every_option_of_every_command_is_tried(samples):
         tried.setdefault(kind, set()).update(sample.options)
     assert set(tried) == set(CLASSES.values())
     missing = {
-        kind.__name__: {field.name for field in fields(kind)} - options - POSITIONAL - {"force", "deployment"}
+        kind.__name__: {field.name for field in fields(kind)} - options - POSITIONAL - {"force", "deployment", "follow"}
         for kind, options in tried.items()
     }
     assert not {name: options for name, options in missing.items() if options}

@@ -280,8 +280,9 @@ def test_terrain_and_value_change(stage, browser):
     wait_until(lambda: any(option.is_displayed() for option in options()), "the list of terrains")
     browser.execute_script("arguments[0].click()", options()[0])
     wait_until(lambda: stage.playground.ground.family.name == "gap", "the terrain")
-    value = browser.find_element("xpath", "//label[.='Width [m]']/following::input[@type='text'][1]")
-    value.send_keys("\b\b\b\b0.5\n")
+    values = lambda: browser.find_elements("xpath", "//label[.='Width [m]']/following::input[@type='text'][1]")  # noqa: E731
+    wait_until(values, "the field for the width")
+    values()[0].send_keys("\b\b\b\b0.5\n")
     wait_until(lambda: stage.playground.ground.value == pytest.approx(0.5), "the value")
     wait_until(lambda: "a gap to leap over, width 0.5 m" in text(browser), "the ground in words")
     wait_until(lambda: np.abs(picture(browser) - before).mean() > 5.0, "other ground in the picture")

@@ -127,7 +127,7 @@ def test_films_are_made_every_few_minutes_and_never_two_at_once(tmp_path, monkey
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
 def test_a_time_between_films_that_is_none_is_refused(tmp_path, capsys, minutes):
     said = refused(capsys, "--out", str(tmp_path / "run"), "--film-minutes", minutes, "--set", *SMALL)
-    assert "--film-minutes must be positive" in said
+    assert "--film-minutes must be above 0" in said
 
 
 # Following a run.

@@ -241,6 +241,8 @@ def _assign(config: Any, data: dict[str, Any], path: str, value: Any) -> None:
     if last not in data:
         raise _no_field(config, part, path, last)
     main = getattr(getattr(part, last), "MAIN", None)
+    if main is None and dataclasses.is_dataclass(getattr(part, last)) and not isinstance(value, dict):
+        raise ArriveError(f"{path} has fields of its own, it cannot be {value!r}")
     if main is None or isinstance(value, dict):
         data[last] = value
     else:

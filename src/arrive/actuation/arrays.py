@@ -7,7 +7,7 @@ import numpy as np
 
 from arrive.errors import ArriveError
 from arrive.files import check_readable
-from arrive.memory import check_room
+from arrive.room import check_room
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:

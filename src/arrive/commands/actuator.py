@@ -56,7 +56,7 @@ class Fit:
     """At most so many passes over the data."""
     patience: Annotated[int, COUNT] = 20
     """Stops after so many passes without a smaller error on the trajectories kept for that."""
-    learning_rate: Annotated[float, POSITIVE] = 5e-3
+    learning_rate: Annotated[float, Range(0.0, 1.0, above=True)] = 5e-3
     """First learning rate; it falls along a cosine."""
     data: str = ""
     """What the logs are, for whoever reads the file; their names by default."""
@@ -125,7 +125,7 @@ def record(options: Record) -> None:
     from arrive.actuation.excitation import excite, random_load
     from arrive.actuation.series_elastic import FINE_STEP_S, SeriesElasticDrive, simulate
     from arrive.files import whole
-    from arrive.memory import check_room
+    from arrive.room import check_room
 
     samples, fine = options.seconds / options.period_s, options.period_s / FINE_STEP_S
     if not (samples >= 2 and round(fine) >= 1 and math.isclose(fine, round(fine), rel_tol=1e-6)):
