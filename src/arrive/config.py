@@ -159,6 +159,11 @@ class Config:
                 f"above -{mass:g}, or nothing is left of the base",
                 self.randomisation.payload_kg[0] > -mass,
             ),
+            Rule(
+                "randomisation.payload_kg",
+                f"at most {10.0 * mass:g}, ten times the base",
+                self.randomisation.payload_kg[1] <= 10.0 * mass,
+            ),
             Rule("randomisation.start_offset", f"at most {level:g}, as far as the ground is level", offset <= level),
             Rule("task.episode_s", f"at least a policy step, {step:g} s", self.task.episode_s >= step),
         )

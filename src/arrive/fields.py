@@ -235,7 +235,7 @@ def _assign(config: Any, data: dict[str, Any], path: str, value: Any) -> None:
     part = config
     *way, last = path.split(".")
     for key in way:
-        if not dataclasses.is_dataclass(getattr(part, key, None)):
+        if key not in data or not dataclasses.is_dataclass(getattr(part, key)):
             raise _no_field(config, part, path, key)
         part, data = getattr(part, key), data[key]
     if last not in data:
