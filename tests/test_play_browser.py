@@ -121,7 +121,14 @@ def wait_for_page(browser) -> None:
 
 
 def picture(browser) -> np.ndarray:
-    """(height, width, 3) what the canvas shows, 0 to 255."""
+    """(height, width, 3) what the canvas shows, 0 to 255; between two drawings its buffer reads as black."""
+    drawn: list[np.ndarray] = []
+    wait_until(lambda: drawn.append(buffer(browser)) or drawn[-1].any(), "a drawn picture")
+    return drawn[-1]
+
+
+def buffer(browser) -> np.ndarray:
+    """(height, width, 3) the canvas' drawing buffer, 0 to 255."""
     url = browser.execute_script("return document.querySelector('canvas[data-engine]').toDataURL('image/png')")
     image = Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
     return np.asarray(image.convert("RGB"), dtype=float)
