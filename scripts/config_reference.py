@@ -6,10 +6,11 @@ python scripts/config_reference.py --check   # exit status 1 where it is not up 
 
 import itertools
 import json
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+
+from pages import write_or_check
 
 from arrive.fields import Row, rows
 from arrive.presets import PRESETS
@@ -84,11 +85,5 @@ def table(fields: list[tuple[Row, str]], terms: dict[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    if "--check" in sys.argv:
-        sys.exit(PAGE.read_text() != page())
-    PAGE.write_text(page())
-
-
 if __name__ == "__main__":
-    main()
+    write_or_check(PAGE, page())

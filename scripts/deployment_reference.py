@@ -9,11 +9,12 @@ import dataclasses
 import inspect
 import itertools
 import re
-import sys
 import textwrap
 import types
 from pathlib import Path
 from typing import Any
+
+from pages import write_or_check
 
 import arrive.deployment
 from arrive.deployment.opening import open_policy
@@ -147,11 +148,5 @@ def field_docs(kind: type) -> dict[str, str]:
     return texts
 
 
-def main() -> None:
-    if "--check" in sys.argv:
-        sys.exit(PAGE.read_text() != page())
-    PAGE.write_text(page())
-
-
 if __name__ == "__main__":
-    main()
+    write_or_check(PAGE, page())

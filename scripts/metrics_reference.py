@@ -4,8 +4,9 @@ python scripts/metrics_reference.py           # writes
 python scripts/metrics_reference.py --check   # exit status 1 where it is not up to date
 """
 
-import sys
 from pathlib import Path
+
+from pages import write_or_check
 
 from arrive.learning.metrics import METRICS
 
@@ -28,11 +29,5 @@ def page() -> str:
     return HEAD + "".join(f"| `{metric.name}` | {metric.unit} | {metric.meaning} |\n" for metric in METRICS)
 
 
-def main() -> None:
-    if "--check" in sys.argv:
-        sys.exit(PAGE.read_text() != page())
-    PAGE.write_text(page())
-
-
 if __name__ == "__main__":
-    main()
+    write_or_check(PAGE, page())

@@ -20,19 +20,10 @@ from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
 from arrive.task.rewards import PositionRewards, functions
 from arrive.terrain import FAMILIES, parse_families
+from settings import SMALL
 
 REWARDS = functions(PositionRewards())
-
-SMALL = (
-    "task.episode_s=0.4",
-    "task.episode_min_s=0.4",
-    "task.reward_window_s=0.4",
-    "ppo.hidden=[16]",
-    "ppo.num_steps=8",
-    "terrain.levels=2",
-    "terrain.variants=1",
-)
-TINY = ["--num-envs", "16", "--threads", "1", "--set", *SMALL]
+TINY = ["--num-envs", "16", "--threads", "1", "--set", *SMALL, "terrain.variants=1"]
 
 
 @pytest.fixture(autouse=True)

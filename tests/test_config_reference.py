@@ -1,23 +1,16 @@
 """The reference of the configuration says what the code says, of every field."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
 from arrive.fields import rows
 from arrive.presets import PRESETS, get_preset
 from arrive.task.registry import TASKS
-
-SCRIPT = Path(__file__).parent.parent / "scripts" / "config_reference.py"
+from loading import load
 
 
 @pytest.fixture(scope="module")
 def reference():
-    spec = importlib.util.spec_from_file_location("config_reference", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("scripts/config_reference.py")
 
 
 def test_the_page_is_up_to_date(reference):

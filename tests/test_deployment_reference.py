@@ -1,25 +1,21 @@
 """The reference of `arrive.deployment` says what the code says, with units."""
 
 import dataclasses
-import importlib.util
 import inspect
 from pathlib import Path
 
 import pytest
 
 import arrive.deployment
+from loading import load
 
-SCRIPT = Path(__file__).parent.parent / "scripts" / "deployment_reference.py"
 PUBLIC = {name: getattr(arrive.deployment, name) for name in arrive.deployment.__all__}
 RECORDS = [thing for thing in PUBLIC.values() if dataclasses.is_dataclass(thing)]
 
 
 @pytest.fixture(scope="module")
 def reference():
-    spec = importlib.util.spec_from_file_location("deployment_reference", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("scripts/deployment_reference.py")
 
 
 def test_the_page_is_up_to_date(reference):

@@ -1,6 +1,5 @@
 """The examples run as they stand: the loops on a simulated robot, the C++ program, the ROS 2 node on a stand-in."""
 
-import importlib.util
 import json
 import os
 import shutil
@@ -18,20 +17,13 @@ from arrive.config import saved_config
 from arrive.deployment import Controller, GridHeights, Sensors, Target
 from arrive.simulation import SimulatedRobot
 from arrive.terrain.ground import ground_of
+from loading import load
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
-def load(name: str):
-    """An example as a module."""
-    spec = importlib.util.spec_from_file_location(Path(name).stem, EXAMPLES / name)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_the_minimal_loop_prints_a_target_for_every_joint(capsys, exported):
-    load("minimal.py").main(str(exported))
+    load("examples/minimal.py").main(str(exported))
     lines = capsys.readouterr().out.splitlines()
     names = Controller.load(exported).policy.robot.joint_names
     assert [line.split(":")[0] for line in lines] == [*names, "mode"]
@@ -40,7 +32,7 @@ def test_the_minimal_loop_prints_a_target_for_every_joint(capsys, exported):
 
 def test_the_loop_on_a_simulated_robot_is_short_and_brings_it_to_its_target(capsys, exported):
     assert len((EXAMPLES / "simulated_robot.py").read_text().splitlines()) < 80
-    assert load("simulated_robot.py").main(["--fast"]) < Controller.load(exported).policy.task.arrival_radius_m
+    assert load("examples/simulated_robot.py").main(["--fast"]) < Controller.load(exported).policy.task.arrival_radius_m
     modes = [line.split()[2] for line in capsys.readouterr().out.splitlines()[:-1]]
     assert modes == ["target", "hold"]
 
@@ -191,7 +183,7 @@ class RosRobot:
         for name in ("conversions", "arrive_node"):
             monkeypatch.delitem(sys.modules, name, raising=False)
         monkeypatch.setattr(ros2_stub.Node, "parameters", {"policy": str(exported)})
-        self.node = load("ros2/arrive_node.py").ArriveNode()
+        self.node = load("examples/ros2/arrive_node.py").ArriveNode()
         policy = self.node.controller.policy
         config = saved_config(policy.meta["training"]["config"], policy.path)
         self.robot, self.names = SimulatedRobot(config, ground_of("flat").build()), policy.robot.joint_names

@@ -1,19 +1,15 @@
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
-FILE = Path(__file__).parent.parent / "benchmarks" / "from_scratch.py"
+from loading import load
+
 TINY = ("num_envs=16", "ppo.num_steps=4", "ppo.hidden=[16]", "terrain.levels=2", "terrain.variants=1")
 
 
 @pytest.fixture(scope="module")
 def benchmark():
-    spec = importlib.util.spec_from_file_location("from_scratch", FILE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("benchmarks/from_scratch.py")
 
 
 def test_it_trains_measures_and_goes_on_where_it_stopped(benchmark, tmp_path, monkeypatch):

@@ -21,17 +21,7 @@ from arrive.simulation import SimulatedRobot
 from arrive.terrain import FAMILIES, parse_families
 from arrive.terrain.ground import ground_of
 from hexapod import HEXAPOD
-
-SHORT = [
-    "task.episode_s=0.6",
-    "task.episode_min_s=0.6",
-    "task.reward_window_s=0.6",
-    "task.reward_window_s=0.3",
-    "ppo.hidden=[16]",
-    "ppo.num_steps=8",
-    "terrain.levels=2",
-    "terrain.variants=1",
-]
+from settings import SHORT
 
 
 @pytest.fixture(scope="module", autouse=True)

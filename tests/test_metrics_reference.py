@@ -1,16 +1,13 @@
 """Every figure that training logs is explained, and nothing is explained that it does not log."""
 
-import importlib.util
 import re
-from pathlib import Path
 
 import pytest
 
 from arrive import cli
 from arrive.learning.logs import read_log
 from arrive.learning.metrics import METRICS, find_metric
-
-SCRIPT = Path(__file__).parent.parent / "scripts" / "metrics_reference.py"
+from loading import load
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +22,7 @@ def columns(tmp_path_factory):
 
 
 def test_the_page_is_up_to_date():
-    spec = importlib.util.spec_from_file_location("metrics_reference", SCRIPT)
-    reference = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(reference)
+    reference = load("scripts/metrics_reference.py")
     assert reference.PAGE.read_text() == reference.page(), "run `python scripts/metrics_reference.py`"
 
 

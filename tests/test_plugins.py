@@ -27,18 +27,9 @@ from arrive.task.task import TaskConfig
 from arrive.terms import TERMS
 from arrive.terrain import FAMILIES, parse_families
 from arrive.terrain.ground import ground_of
+from settings import SHORT
 
 GUIDES = Path(__file__).parents[1] / "docs" / "extend.md"
-SHORT = [
-    "task.episode_s=0.6",
-    "task.episode_min_s=0.6",
-    "task.reward_window_s=0.6",
-    "task.reward_window_s=0.3",
-    "ppo.hidden=[16]",
-    "ppo.num_steps=8",
-    "terrain.levels=2",
-    "terrain.variants=1",
-]
 RUN = ["--num-envs", "16", "--threads", "1", "--iterations", "1", "--out", "run", "--set", *SHORT]
 
 

@@ -22,15 +22,8 @@ from arrive.play.playground import Playground
 from arrive.play.skills import open_skill
 from arrive.policies import SHIPPED
 from arrive.terrain.ground import ground_of
+from settings import SMALL
 
-SMALL = (
-    "task.episode_s=0.4",
-    "task.episode_min_s=0.4",
-    "task.reward_window_s=0.4",
-    "ppo.hidden=[16]",
-    "ppo.num_steps=8",
-    "terrain.levels=2",
-)
 TINY = ["--iterations", "1", "--num-envs", "16", "--threads", "1"]
 
 
