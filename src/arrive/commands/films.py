@@ -1,12 +1,10 @@
 """Films of a run in progress, made beside the training."""
 
-import math
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from arrive.errors import ArriveError
 from arrive.policies import POLICY_NAME
 
 FOLDER = "films"
@@ -21,12 +19,7 @@ class Films:
         Args:
             folder: of the run.
             minutes: between two films, None for none [min].
-
-        Raises:
-            ArriveError: the time is not positive and finite.
         """
-        if minutes is not None and not 0.0 < minutes < math.inf:
-            raise ArriveError(f"--film-minutes must be positive and finite, not {minutes}")
         self._folder, self._period_s = folder, None if minutes is None else 60.0 * minutes
         self._next_s = time.monotonic() + (self._period_s or 0.0)
         self._process: subprocess.Popen | None = None

@@ -89,9 +89,8 @@ def _train(command: Train, run: _Run) -> None:
     if run.ranks.leads:
         together = f", {run.ranks.count} processes" if run.ranks.count > 1 else ""
         print(describe_device(run.device, command.device, run.threads, run.config.physics.engine) + together)
-    log = (
-        RunLog(run.folder, command.logger) if run.ranks.leads else None
-    )  # read before anything is built: it may be damaged
+    # Read before anything is built: it may be damaged.
+    log = RunLog(run.folder, command.logger) if run.ranks.leads else None
     trainer = Trainer(run.config, _build(run), run.folder, run.ranks)
     before = 0
     if command.resume:
