@@ -5,6 +5,7 @@ does, on a computer without torch, in `arrive.deployment.terms`.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from arrive.registry import add
 
@@ -43,3 +44,15 @@ def register_term(name: str, meaning: TermMeaning) -> None:
         ArriveError: the name is taken.
     """
     add("observation", TERMS, name, meaning)
+
+
+class Timed(Protocol):
+    """A task with a reward window: its configuration in training, or what an exported file says of it."""
+
+    reward_window_s: float
+    episode_s: float
+
+
+def hold_time(task: Timed) -> float:
+    """The `time_left` that a policy waiting at its target is told: the reward window, half an episode at most [s]."""
+    return min(task.reward_window_s, 0.5 * task.episode_s)

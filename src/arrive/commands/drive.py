@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from arrive.commands.policies import need_onnxruntime
+from arrive.commands.policies import need
 from arrive.config import saved_config
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def run_drive(command: Drive) -> None:
     """Drive the deployment controller of a policy and say how it went."""
-    need_onnxruntime()
+    need("onnxruntime")
     from arrive.deployment import Controller, ControlLog
     from arrive.deployment.opening import open_policy
     from arrive.drive import session

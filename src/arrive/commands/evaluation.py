@@ -24,9 +24,9 @@ from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, Errands, check_policy, effort, hardest_solved
 from arrive.evaluation.reach import measure as measure_reach
 from arrive.learning.policy import Policy
-from arrive.learning.rundir import CONFIG_NAME, DIFFICULTY_NAME
+from arrive.learning.rundir import CONFIG_NAME
 from arrive.physics.device import choose_device, describe_device
-from arrive.policies import find_policy
+from arrive.policies import DIFFICULTY_NAME, find_policy
 from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
@@ -49,8 +49,6 @@ def evaluate(command: Eval) -> None:
     """Measure policies, print tables and what they fail at, and write JSON and pictures."""
     if command.json and command.others:
         raise ArriveError("--json takes the result of one policy; measure several one by one")
-    if command.episodes < 1:
-        raise ArriveError(f"--episodes must be at least 1, not {command.episodes}")
     errands = {name: value for name in ERRANDS if (value := getattr(command, name)) is not None}
     protocol = command.protocol or ("reach" if errands else "arrival")
     if errands and protocol != "reach":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arrive.commands.policies import need_onnxruntime, read_policy
+from arrive.commands.policies import need, read_policy
 from arrive.files import whole
 from arrive.policies import EXPORTED
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def export(command: Export) -> None:
     """Write a policy for a robot's computer."""
-    need_onnxruntime()
+    need("onnxruntime")
     from arrive.deployment.export import export_policy
 
     policy = read_policy(command.policy)
@@ -28,7 +28,7 @@ def export(command: Export) -> None:
 
 def verify_file(command: Verify) -> None:
     """Check an exported policy and say what it is."""
-    need_onnxruntime()
+    need("onnxruntime")
     from arrive.deployment.verify import describe, verify
 
     print(describe(verify(command.file)))

@@ -11,8 +11,8 @@ from rich.table import Table
 from arrive.commands.settings import print_config
 from arrive.errors import unknown_name
 from arrive.learning.rundir import read_config
-from arrive.policies import SHIPPED, shipped_names
-from arrive.policies.solved import MEASURED, amounts, solved_beside
+from arrive.policies import DIFFICULTY_NAME, SHIPPED, shipped_names
+from arrive.policies.solved import amounts, solved_beside
 from arrive.presets import PRESETS
 from arrive.robots import ROBOTS
 from arrive.task.registry import TASKS
@@ -64,7 +64,7 @@ def _ability(policy: str) -> str:
     config, _ = read_config(SHIPPED / policy)
     stick = " with moving targets, for a stick" if config.task.retarget_s > 0.0 else ""
     trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
-    if not (SHIPPED / policy / MEASURED).is_file():
+    if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
         return f"not measured; {trained}"
     solved = amounts(solved_beside(SHIPPED / policy))
     return f"solves {', '.join(solved) or 'nothing'} in 95 % of the episodes; {trained}"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import threading
 from typing import TYPE_CHECKING
 
-from arrive.errors import ArriveError
+from arrive.commands.policies import need
 
 if TYPE_CHECKING:
     from arrive.commands.options import Play
@@ -14,9 +13,8 @@ if TYPE_CHECKING:
 
 def run_play(command: Play) -> None:
     """Serve the page until Ctrl-C or the time given, then say whether real time was kept."""
-    for package, requirement in (("viser", "viser>=1.1,<2"), ("onnxruntime", "onnxruntime")):
-        if importlib.util.find_spec(package) is None:
-            raise ArriveError(f"this needs {package}: pip install '{requirement}'")
+    need("viser", "viser>=1.1,<2")
+    need("onnxruntime")
     from arrive.play.follow import Follower
     from arrive.play.playground import Playground
     from arrive.play.server import open_server

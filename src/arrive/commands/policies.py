@@ -23,14 +23,18 @@ def read_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
     path = find_policy(path)
     if path.suffix != EXPORTED:
         return load_policy(path, device)
-    need_onnxruntime()
+    need("onnxruntime")
     # Imported here because only this needs onnxruntime.
     from arrive.deployment.reading import load_exported
 
     return load_exported(path, device)
 
 
-def need_onnxruntime() -> None:
-    """Say how to install what runs exported policies, where it is missing."""
-    if importlib.util.find_spec("onnxruntime") is None:
-        raise ArriveError("this needs onnxruntime: pip install onnxruntime")
+def need(package: str, requirement: str = "") -> None:
+    """Say how to install what a command needs beside the package's own dependencies, where it is missing.
+
+    Raises:
+        ArriveError: it is missing.
+    """
+    if importlib.util.find_spec(package) is None:
+        raise ArriveError(f"this needs {package}: pip install '{requirement or package}'")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arrive.commands.policies import need_onnxruntime
+from arrive.commands.policies import need
 from arrive.errors import ArriveError
 from arrive.policies import SHIPPED, shipped_names
 from arrive.policies.solved import TELLING, solved_beside
@@ -19,7 +19,7 @@ def showreel(command: Showreel) -> None:
     Raises:
         ArriveError: no policy was measured, no robot arrives, or this machine cannot draw.
     """
-    need_onnxruntime()
+    need("onnxruntime")
     from arrive.play.skills import open_skill
     from arrive.render.showreel import frames, record, write_showreel
     from arrive.terrain import FAMILIES

@@ -19,7 +19,7 @@ from arrive.files import whole
 from arrive.learning.checkpoint import check_schema
 from arrive.learning.networks import Facing, Network
 from arrive.learning.policy import Policy
-from arrive.learning.rundir import DIFFICULTY_NAME
+from arrive.policies import DIFFICULTY_NAME
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.final import FinalConfig, PositionConfig

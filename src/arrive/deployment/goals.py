@@ -8,6 +8,7 @@ import numpy as np
 
 from arrive.deployment.faults import BadInput
 from arrive.deployment.specs import TaskSpec
+from arrive.terms import hold_time
 
 JOYSTICK_DISTANCE = 3.0
 """The pseudo target lies this far away (paper, section Energy Consumption) [m]."""
@@ -97,11 +98,6 @@ def _set(goal: Any, **values: Any) -> None:
     """Put plain values into a frozen goal, so that it can be compared and logged."""
     for name, value in values.items():
         object.__setattr__(goal, name, value)
-
-
-def hold_time(task: TaskSpec) -> float:
-    """Remaining time that a policy at its target is told: the reward window, half an episode at most [s]."""
-    return min(task.reward_window_s, 0.5 * task.episode_s)
 
 
 def walking_speeds(task: TaskSpec) -> tuple[float, float]:

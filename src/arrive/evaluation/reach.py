@@ -17,9 +17,11 @@ from arrive.evaluation.difficulty import TRIAL, VARIANTS, describe, randomised, 
 from arrive.evaluation.playing import Progress
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
-from arrive.learning.rundir import DIFFICULTY_NAME, commit
-from arrive.task.final import FinalPositionTask, PositionConfig
+from arrive.learning.rundir import commit
+from arrive.policies import DIFFICULTY_NAME
+from arrive.task.final import FinalPositionTask
 from arrive.task.registry import get_task
+from arrive.terms import hold_time
 from arrive.terrain import Layout
 from arrive.terrain.family import Family
 from arrive.terrain.ground import Ground
@@ -224,14 +226,6 @@ def _tables(errands: Errands, ground: Ground, answers: Sequence[Arrival], config
         ],
         "waiting": _waiting(waited, config.task.arrival_radius, errands.time_s, config.physics.control_dt),
     }
-
-
-def hold_time(task: PositionConfig) -> float:
-    """Remaining time that a policy at its target is told, as by `arrive.deployment.goals.hold_time` [s].
-
-    Here too, because measuring needs nothing that only a robot's computer has.
-    """
-    return min(task.reward_window_s, 0.5 * task.episode_s)
 
 
 def _row(

@@ -22,8 +22,6 @@ from arrive.plugins import imported, require
 from arrive.policies import POLICY_NAME, RUNS
 
 CONFIG_NAME = "config.json"
-DIFFICULTY_NAME = "difficulty.json"
-"""What `arrive eval --protocol difficulty` found."""
 LOCK_NAME = "run.lock"
 MOTOR_NAME = "motor.safetensors"
 """The run's own copy of its actuator network."""

@@ -13,6 +13,8 @@ DEFAULT = "joystick"
 EXPORTED = ".onnx"
 POLICY_NAME = "policy.pt"
 """File of the network in a run folder."""
+DIFFICULTY_NAME = "difficulty.json"
+"""What `arrive eval --protocol difficulty` found, beside it."""
 RUNS = Path("runs")
 """Where `arrive train` puts new runs."""
 PACKED = Path(__file__).parent / "shipped"

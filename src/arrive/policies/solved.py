@@ -5,11 +5,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+from arrive.policies import DIFFICULTY_NAME
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, varies
 
-MEASURED = "difficulty.json"
-"""Result of a measurement in a run folder."""
 SOLVED = "max_at_95"
 """Its entry for the hardest value that is solved in 95 % of the episodes."""
 TELLING = ("gap", "pit", "stairs", "obstacles", "steps", "slope", "stairs_down", "slope_down", "rough")
@@ -29,7 +28,7 @@ def solved_beside(path: Path) -> dict[str, float]:
     """The same of a run folder or a file in it, without reading the policy."""
     run = path if path.is_dir() else path.parent
     try:
-        return solved_in(json.loads((run / MEASURED).read_text()))
+        return solved_in(json.loads((run / DIFFICULTY_NAME).read_text()))
     except (OSError, ValueError):
         return {}
 
