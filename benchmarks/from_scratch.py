@@ -9,16 +9,16 @@ many samples its mean level of training rose by one, and how long it took.
 
 import csv
 import json
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tyro
+from trainings import arrive, markdown
 
 from arrive.learning.checkpoint import CHECKPOINT_NAME
+from arrive.policies import DIFFICULTY_NAME
 
 
 @dataclass
@@ -63,20 +63,16 @@ def main(arguments: Arguments) -> None:
 def make(run: Run, arguments: Arguments) -> dict[str, Any]:
     """Train and measure one policy, and sum up what came of it."""
     if (run.folder / CHECKPOINT_NAME).exists():
-        words = ("--resume", run.folder)
+        words = ("--resume", str(run.folder))
     else:
-        words = ("--seed", run.seed, "--out", run.folder, *(("--set", *arguments.set) if arguments.set else ()))
-    arrive("train", run.terrain, "--samples", arguments.samples, "--threads", 1, *words)
-    measured = run.folder / "difficulty.json"
+        changes = ("--set", *arguments.set) if arguments.set else ()
+        words = ("--seed", str(run.seed), "--out", str(run.folder), *changes)
+    arrive("train", run.terrain, "--samples", arguments.samples, "--threads", "1", *words)
+    measured = run.folder / DIFFICULTY_NAME
     if not measured.exists():
-        options = ("--protocol", "difficulty", "--episodes", arguments.episodes, "--threads", 1, "--json", measured)
-        arrive("eval", run.folder, *options)
+        options = ("--episodes", str(arguments.episodes), "--threads", "1", "--json", str(measured))
+        arrive("eval", str(run.folder), "--protocol", "difficulty", *options)
     return summary(run, json.loads(measured.read_text()))
-
-
-def arrive(*arguments: object) -> None:
-    """Run the command line; what it prints is of no interest unless it fails."""
-    subprocess.run([sys.executable, "-m", "arrive", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
 
 
 def summary(run: Run, measured: dict[str, Any]) -> dict[str, Any]:
@@ -106,14 +102,15 @@ def climb(log: list[dict[str, str]], column: str) -> list[float]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """One line per run and family, in Markdown."""
-    lines = ["| trained on | seed | samples | minutes | measured on | solved with 95 % | success |", "|" + "---|" * 7]
+    lines = []
     for row in rows:
         for name, success in row["success"].items():
             rates = ", ".join(f"{value:g}: {rate:.1%}" for value, rate in success.items())
-            budget = f"{row['samples'] / 1e6:.1f} M | {row['minutes']:.0f}"
+            budget = f"{row['samples'] / 1e6:.1f} M", f"{row['minutes']:.0f}"
             solved = "-" if row["solved"][name] is None else f"{row['solved'][name]:g}"
-            lines.append(f"| {row['terrain']} | {row['seed']} | {budget} | {name} | {solved} | {rates} |")
-    return "\n".join([*lines, ""])
+            lines.append([row["terrain"], str(row["seed"]), *budget, name, solved, rates])
+    head = ["trained on", "seed", "samples", "minutes", "measured on", "solved with 95 %", "success"]
+    return markdown(head, lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Trainings that differ in a few settings: each is begun, continued and measured once, by whichever call gets to it.
 
-`stability.py` and `time_window.py` share this.
+`stability.py` and `time_window.py` share this; `from_scratch.py` its command line and tables.
 """
 
 import shlex
