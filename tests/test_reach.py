@@ -1,6 +1,7 @@
 """Success by distance, direction and time, waiting at the target, and results that shorter ones do not replace."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -260,6 +261,15 @@ def test_the_command_writes_result_and_card_and_keeps_the_longer_result(trained,
     assert json.loads((trained / "reach.json").read_text()) == content
     main([*map(str, shorter), "--force"])
     assert json.loads((trained / "reach.json").read_text())["protocol"]["effort"] == 6
+
+
+def test_the_result_of_an_exported_file_goes_to_a_folder_of_its_name(exported, tmp_path):
+    file = tmp_path / "robot.onnx"
+    shutil.copy(exported, file)
+    journey = "--target-distance 0.5 --direction 0 --time 0.5 --terrain flat --episodes 1 --threads 1"
+    main(["eval", str(file), "--protocol", "reach", *journey.split()])
+    assert (tmp_path / "robot" / "reach.json").is_file()
+    assert not (tmp_path / "reach.json").exists()
 
 
 def test_one_value_of_the_protocol_is_not_kept_as_its_answer(trained, capsys, monkeypatch, tmp_path):

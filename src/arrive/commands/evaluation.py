@@ -141,15 +141,15 @@ def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
     errands = Errands(**given, layout=command.layout or "evaluation")
     errands.check()
     check_policy(policy)
-    folder, levels = policy.path.parent, policy.config.terrain.levels
+    folder, levels = policy.folder, policy.config.terrain.levels
     grounds = [
-        Ground(family, cell.value if cell else hardest_solved(folder, family, levels))
+        Ground(family, cell.value if cell else hardest_solved(policy.path.parent, family, levels))
         for family, cell in _chosen(command, policy)
     ]
     out = command.json or folder / REACH_NAME
     keep_longer(out, effort(errands, command.episodes, len(grounds)), command.force)
     with Progress() as bar:
-        steps = bar.add_task(f"{folder.name}: {command.episodes} episodes per row", total=None)
+        steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per row", total=None)
         content = measure_reach(
             policy,
             grounds,
