@@ -222,17 +222,16 @@ def override(config: Any, assignments: tuple[str, ...]) -> Any:
     Raises:
         ArriveError: malformed, or no such field.
     """
+    data = to_dict(config)
     for assignment in assignments:
         path, sign, text = assignment.partition("=")
         if not sign:
             raise ArriveError(f"cannot read {assignment!r}: write PATH=VALUE, e.g. ppo.gamma=0.995")
-        config = _assigned(config, path.strip(), _parse(text))
-    return config
+        _assign(config, data, path.strip(), _parse(text))
+    return from_dict(type(config), data)
 
 
-def _assigned(config: Any, path: str, value: Any) -> Any:
-    """The configuration with another value; whole after each one, so that the next finds fields where it looks."""
-    whole = data = to_dict(config)
+def _assign(config: Any, data: dict[str, Any], path: str, value: Any) -> None:
     part = config
     *way, last = path.split(".")
     for key in way:
@@ -242,11 +241,12 @@ def _assigned(config: Any, path: str, value: Any) -> Any:
     if last not in data:
         raise _no_field(config, part, path, last)
     main = getattr(getattr(part, last), "MAIN", None)
+    if main is None and dataclasses.is_dataclass(getattr(part, last)) and not isinstance(value, dict):
+        raise ArriveError(f"{path} has fields of its own, it cannot be {value!r}")
     if main is None or isinstance(value, dict):
         data[last] = value
     else:
         data[last][main] = value
-    return from_dict(type(config), whole)
 
 
 def _no_field(config: Any, part: Any, path: str, key: str) -> ArriveError:
