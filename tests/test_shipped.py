@@ -11,7 +11,7 @@ from arrive.terrain import parse_families
 
 OF_THE_MACHINE = {"ppo.precision"}
 """`auto` in a preset: which one it was is the machine's."""
-OLDER = {"joystick", "pit", "walk"}
+OLDER = {"gap", "joystick", "pit", "walk"}
 """Made by a preset as it was before; a policy that is trained again leaves this list."""
 
 

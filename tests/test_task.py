@@ -124,6 +124,21 @@ class TestTargets:
         assert crossing_share(tile, 0.5) == pytest.approx((1.0 + anywhere) / 2, abs=0.03)
         assert crossing_share(tile, 1.0) > 0.995
 
+    def test_a_share_of_those_is_just_beyond(self):
+        tile = tile_of("gap", 0.2)
+        rasters, tile_ids = stack_rasters([tile]), torch.zeros(MANY, dtype=torch.long)
+
+        def close(share: float) -> float:
+            """How many targets are within 0.3 m of the nearest place beyond the gap."""
+            config = replace(TASK, target_distance=(0.5, 5.5), crossing_share=1.0, nearest_share=share)
+            targets = torch.from_numpy(targets_on(tile, config=config))
+            assert look_up(rasters.crossing, tile_ids, targets[:, None, :2]).float().mean() > 0.995
+            edge = targets[:, :2].abs().amax(-1)
+            return float((edge < edge.min() + 0.3).float().mean())
+
+        assert close(1.0) > close(0.0) + 0.3
+        assert close(0.25) == pytest.approx(0.75 * close(0.0) + 0.25 * close(1.0), abs=0.02)
+
     def test_where_none_counts_they_are_anywhere(self):
         tile = tile_of("flat")
         assert crossing_share(replace(tile, crossing=np.zeros_like(tile.crossing)), 1.0) == 0.0

@@ -49,6 +49,7 @@ def robust() -> Config:
             reward_window_s=2.0,
             target_distance=(0.5, 5.5),
             crossing_share=0.6,
+            nearest_share=0.2,
             rewards=replace(
                 PAPER_REWARDS,
                 exploration=Reward(),

@@ -41,6 +41,9 @@ class PositionConfig(TaskConfig):
     crossing_share: Share = 0.0
     """Share of the targets that are drawn only where they count, beyond the terrain to be crossed: of all those among
     pillars, two thirds can be reached straight."""
+    nearest_share: Share = 0.0
+    """Share of those targets that are just beyond the terrain to be crossed: robots must also learn to stop there and to
+    stand with their hind feet near an edge."""
     retarget_s: NotNegative = 0.0
     """Mean time after which a robot in training gets another target and the time for it, without an end of the episode;
     0 for never [s]."""

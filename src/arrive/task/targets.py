@@ -26,6 +26,7 @@ class Spread(Protocol):
     target_distance: tuple[float, float]
     target_height: float
     crossing_share: float
+    nearest_share: float
 
 
 def sample_targets(
@@ -33,7 +34,8 @@ def sample_targets(
 ) -> Tensor:
     """Draw a valid target for each robot (paper, section Episode Process).
 
-    A share of the robots, `crossing_share`, get the first candidate that counts as crossing, if there is one.
+    A share of the robots, `crossing_share`, get the first candidate beyond the obstacle, if there is one; of those
+    robots a share, `nearest_share`, get the nearest one instead, where they have to stop and stand just behind it.
 
     Args:
         tile_ids: (n,) rasters of the robots' tiles.
@@ -56,6 +58,10 @@ def sample_targets(
         rank += valid & across[:, None] & look_up(rasters.crossing, tile_ids, candidates)
     # The first of the best candidates: argmax of a row is its first maximum.
     chosen = rank.argmax(-1)
+    if config.nearest_share > 0.0:
+        close = torch.rand(shape[:1], generator=generator, device=device) < config.nearest_share
+        nearest = torch.where(rank == 2, radius, math.inf).argmin(-1)
+        chosen = torch.where(close & (rank == 2).any(-1), nearest, chosen)
     targets = candidates[torch.arange(len(tile_ids), device=device), chosen]
     none = ~valid.any(-1)
     if none.any():
