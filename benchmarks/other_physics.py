@@ -1,11 +1,16 @@
-"""Does a policy arrive as often with physics that it was not trained with?
+"""Does a policy arrive as often with physics and motors that it was not trained with?
 
-    python benchmarks/other_physics.py fine RUN [--terrain flat] [--level 0] [--episodes 500] [--threads 0]
-    python benchmarks/other_physics.py engines RUN [--device auto] ...
+    python benchmarks/other_physics.py POLICY [--terrain gap=0.2,flat] [--variants fine steps] [--episodes 500]
+    python benchmarks/other_physics.py POLICY --variants network --network drive.safetensors
 
-Evaluates the same policy on the same terrain and seeds. `fine`: with its own settings, with MuJoCo's default solver at
-a physics step of 1 ms, and with MuJoCo's default contacts on top. `engines`: with MuJoCo and with MuJoCo Warp, which
-must be installed. On a GPU only Warp can run there; MuJoCo stays on the CPU.
+Evaluates the same policy by the protocol of maximum difficulty, on the same terrain and seeds, with
+
+- `contacts`: legs that pass through each other;
+- `fine`: physics steps of 1 ms, with MuJoCo's default solver, and with its default contacts on top;
+- `steps`: physics steps of 6.67 and 10 ms, three and two per policy step;
+- `motor`: PD with the effort limit alone;
+- `network`: the actuator network in `--network`, with each clip;
+- `engines`: MuJoCo Warp, which must be installed. On a GPU only Warp can run there; MuJoCo stays on the CPU.
 """
 
 from collections.abc import Iterator
@@ -17,14 +22,18 @@ import torch
 import tyro
 
 from arrive.commands.threads import use_threads
-from arrive.evaluation.arrival import cells_of, evaluate
+from arrive.evaluation.arrival import choose_cells
+from arrive.evaluation.difficulty import measure
+from arrive.files import write_json
 from arrive.learning.policy import load_policy
 from arrive.physics.device import DeviceWish, choose_device
-from arrive.physics.options import PhysicsConfig
-from arrive.terrain import parse_families
+from arrive.physics.options import LEAST_TIME_STEPS, PhysicsConfig
 
 FINE_STEP_S = 0.001
+LONG_STEPS = (3, 2)
+"""Physics steps per policy step of `steps`."""
 
+Group = Literal["contacts", "fine", "steps", "motor", "network", "engines"]
 Variant = tuple[str, PhysicsConfig, torch.device]
 """What to call it, its settings and where it runs."""
 
@@ -33,19 +42,51 @@ Variant = tuple[str, PhysicsConfig, torch.device]
 class Arguments:
     """What to evaluate."""
 
-    against: tyro.conf.Positional[Literal["fine", "engines"]]
     policy: tyro.conf.Positional[Path]
     terrain: str = "flat"
-    level: int = 0
+    """Families joined by commas, each with the value to measure at: NAME=VALUE."""
+    variants: tuple[Group, ...] = ("contacts", "fine", "steps", "motor")
+    network: Path | None = None
+    """Actuator network, as `arrive actuator import` or `fit` writes it."""
     episodes: int = 500
+    seed: int = 1
     device: DeviceWish = "auto"
     """Where Warp runs."""
     threads: int = 0
+    json: Path | None = None
+    """File for the results."""
 
 
-def fine(trained: PhysicsConfig) -> Iterator[Variant]:
-    """The solver that training uses, and MuJoCo's own in small steps."""
+def variants(trained: PhysicsConfig, arguments: Arguments) -> Iterator[Variant]:
+    """Everything that is measured, beginning with the policy's own physics."""
     cpu = torch.device("cpu")
+    yield "as trained", trained, cpu
+    for group in arguments.variants:
+        if group == "contacts":
+            yield "legs pass through each other", replace(trained, leg_contacts=False), cpu
+        elif group == "fine":
+            for label, physics in fine(trained):
+                yield label, physics, cpu
+        elif group == "steps":
+            for decimation in LONG_STEPS:
+                step = trained.control_dt / decimation
+                contact_s = max(trained.contact_time_s, LEAST_TIME_STEPS * step)
+                physics = replace(trained, timestep_s=step, decimation=decimation, contact_time_s=contact_s)
+                yield f"{1e3 * step:.3g} ms x {decimation}", physics, cpu
+        elif group == "motor":
+            yield "PD with the effort limit alone", replace(trained, motor="ideal"), cpu
+        elif group == "network":
+            if arguments.network is None:
+                raise SystemExit("--variants network needs --network FILE")
+            own = replace(trained, motor="network", motor_file=str(arguments.network.resolve()))
+            yield "actuator network, affine clip", own, cpu
+            yield "actuator network, constant clip", replace(own, motor_clip="constant"), cpu
+        else:
+            yield "MuJoCo Warp", replace(trained, engine="warp"), choose_device(arguments.device)
+
+
+def fine(trained: PhysicsConfig) -> Iterator[tuple[str, PhysicsConfig]]:
+    """MuJoCo's own solver in small steps, then its own contacts too."""
     default_solver = replace(
         trained,
         timestep_s=FINE_STEP_S,
@@ -55,29 +96,31 @@ def fine(trained: PhysicsConfig) -> Iterator[Variant]:
         solver_tolerance=1e-8,
         impratio=1.0,
     )
-    yield "as trained", trained, cpu
-    yield "1 ms, MuJoCo's default solver", default_solver, cpu
-    default_contacts = replace(default_solver, contact_time_s=0.02, contact_impedance=0.95)
-    yield "1 ms, MuJoCo's default solver and contacts", default_contacts, cpu
-
-
-def engines(trained: PhysicsConfig, device: DeviceWish) -> Iterator[Variant]:
-    """Both physics engines."""
-    yield "mujoco", replace(trained, engine="mujoco"), torch.device("cpu")
-    yield "warp", replace(trained, engine="warp"), choose_device(device)
+    yield "1 ms, MuJoCo's default solver", default_solver
+    yield (
+        "1 ms, MuJoCo's default solver and contacts",
+        replace(default_solver, contact_time_s=0.02, contact_impedance=0.95),
+    )
 
 
 def main(arguments: Arguments) -> None:
-    """Print the arrival rate with each variant."""
+    """Print the success rate with each variant."""
     threads = use_threads(arguments.threads)
-    trained = load_policy(arguments.policy).config.physics
-    variants = fine(trained) if arguments.against == "fine" else engines(trained, arguments.device)
-    for label, physics, device in variants:
+    trained = load_policy(arguments.policy).config
+    grounds = choose_cells(trained, arguments.terrain)
+    families = [family for family, _ in grounds]
+    chosen = {family.name: cell for family, cell in grounds if cell is not None}
+    rows = []
+    for label, physics, device in variants(trained.physics, arguments):
         policy = load_policy(arguments.policy, device)
-        cells = cells_of(policy.config, parse_families(arguments.terrain), arguments.level)
         policy = replace(policy, config=replace(policy.config, physics=physics))
-        for result in evaluate(policy, cells, arguments.episodes, seed=1, threads=threads).results:
-            print(f"{result.cell.caption}, {label}: {result.rate}", flush=True)
+        found = measure(policy, families, arguments.episodes, arguments.seed, threads=threads, chosen=chosen)
+        for name, results in found.results.items():
+            for result in results:
+                print(f"{name} {result.cell.value}, {label}: {result.rate}", flush=True)
+                rows.append({"terrain": name, "physics": label} | result.content())
+        if arguments.json is not None:
+            write_json(arguments.json, {"policy": str(arguments.policy), "seed": arguments.seed, "rows": rows})
 
 
 if __name__ == "__main__":
