@@ -73,7 +73,7 @@ def test_a_control_step_lasts_20_ms_and_a_standing_robot_stays():
     standing(robot, 50)
     assert robot.time_s == pytest.approx(1.0)
     np.testing.assert_allclose(robot.base_pos_w[:2], [1.0, -2.0], atol=0.02)
-    # Under PD it sags by 3 cm, as in `test_robot.py`.
+    # Under PD it sags by 3 cm, as in `robots/test_anymal_c.py`.
     assert robot.base_pos_w[2] == pytest.approx(robot.robot.standing_height, abs=0.05)
     assert robot.yaw == pytest.approx(0.5, abs=0.02)
     assert not robot.crashed

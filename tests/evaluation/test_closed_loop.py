@@ -1,7 +1,6 @@
 """The controller in the network's place: it is told the same, and arrives as often."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +17,9 @@ from arrive.evaluation.closed_loop import ControlledRobots, check_pair, compare,
 from arrive.learning.policy import load_policy
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.terrain import FAMILIES
+from loading import ROOT
 
-RUN = Path(__file__).parent.parent / "policies" / "walk"
+RUN = ROOT / "policies" / "walk"
 GRAVITY, HEIGHTS = slice(6, 9), slice(49, 236)
 
 

@@ -10,7 +10,7 @@ from arrive.errors import ArriveError
 from arrive.learning.logs import RunLog
 from arrive.learning.recovery import MAX_RECOVERIES
 from arrive.learning.trainer import Budget
-from test_training import STEPS, differing, log_rows, make_trainer, run, saved_state
+from training_runs import STEPS, differing, log_rows, make_trainer, run, saved_state
 
 
 def spoil_term(trainer, name: str, env_id: int, when) -> None:

@@ -6,7 +6,6 @@ Tolerances are those of float32 and of a contact solver that stops after 15 iter
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -26,6 +25,7 @@ from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS, robust
 from arrive.robots import get_robot
 from arrive.terrain import FAMILIES, build_tile
+from loading import ROOT
 
 pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
 pytest.importorskip("warp", reason="Warp is not installed")
@@ -393,7 +393,7 @@ def test_every_tensor_of_a_step_says_its_device():
 
 def returns(engine: str, episodes: int) -> tuple[Tensor, Tensor]:
     """Return and arrival of the first episode of each robot, walking on flat ground by a trained policy."""
-    policy = load_policy(Path(__file__).parents[1] / "policies" / "walk")
+    policy = load_policy(ROOT / "policies" / "walk")
     config = replace(policy.config, num_envs=episodes, physics=replace(policy.config.physics, engine=engine))
     nowhere = torch.zeros(episodes, dtype=torch.long)
     env = build_env(config, Placement(assignment=(nowhere, nowhere)), threads=1)

@@ -1,4 +1,4 @@
-"""One of two processes that train together, started by torchrun for `test_distributed.py`."""
+"""One of two processes that train together, started by torchrun for `learning/test_distributed.py`."""
 
 import sys
 from pathlib import Path

@@ -1,5 +1,6 @@
 """The device is chosen by what can be used, and what cannot be used says why and what to do."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -8,6 +9,9 @@ from arrive.errors import ArriveError
 from arrive.physics import PhysicsConfig, device
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.device import choose_device, describe_device, make_physics, why_no_gpu
+from arrive.physics.world import compile_world
+from arrive.robots import get_robot
+from arrive.terrain import build_tile, get_family
 
 
 @pytest.fixture
@@ -53,12 +57,13 @@ def test_each_process_takes_the_gpu_of_its_local_rank(machine):
 
 
 def test_the_engine_belongs_to_the_device():
-    from test_physics import ROBOT, world
-
-    physics = make_physics(ROBOT, [world()], PhysicsConfig(), 1, 1, torch.device("cpu"))
+    robot = get_robot("anymal_c")
+    tile = build_tile(get_family("flat"), 0.0, np.random.default_rng(0), "training")
+    world = compile_world(robot, tile, PhysicsConfig())
+    physics = make_physics(robot, [world], PhysicsConfig(), 1, 1, torch.device("cpu"))
     assert isinstance(physics, CpuPhysics)
     with pytest.raises(ArriveError, match=r"physics\.engine=mujoco runs on the CPU"):
-        make_physics(ROBOT, [world()], PhysicsConfig(engine="mujoco"), 1, 1, torch.device("cuda"))
+        make_physics(robot, [world], PhysicsConfig(engine="mujoco"), 1, 1, torch.device("cuda"))
 
 
 def test_the_command_line_says_it_before_it_makes_anything(machine, tmp_path, capsys):

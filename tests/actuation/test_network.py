@@ -17,8 +17,9 @@ from arrive.actuation.network import ActuatorNetwork
 from arrive.actuation.network_file import read_network, write_network
 from arrive.actuation.runtime import make_runtime
 from arrive.errors import ArriveError
+from loading import ROOT
 
-PUBLISHED = Path(__file__).resolve().parents[1] / ".." / "shared" / "actuators"
+PUBLISHED = ROOT.parent / "shared" / "actuators"
 MANY = 1100
 """Joints: more than two blocks of columns, and the last one not full."""
 

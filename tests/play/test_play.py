@@ -34,8 +34,9 @@ from arrive.policies.solved import solved_beside
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, ground_of
 from arrive.terrain.tile import RASTER_HALF, cell_index
+from loading import ROOT
 
-RUN = Path(__file__).parents[1] / "policies" / "joystick"
+RUN = ROOT / "policies" / "joystick"
 DOWN = np.array([0.0, 0.0, -1.0])
 
 

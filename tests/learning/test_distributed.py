@@ -10,15 +10,13 @@ import pytest
 import torch
 from torch import nn
 
+import distributed_worker
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.ranks import join_ranks
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from distributed_worker import CONFIG, make_trainer
 
-WORKER = Path(__file__).parent / "distributed_worker.py"
+WORKER = Path(distributed_worker.__file__)
 
 
 def torchrun(*arguments: str, processes: int = 2) -> subprocess.CompletedProcess:
