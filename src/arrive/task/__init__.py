@@ -1,1 +1,1 @@
-"""What a robot is asked to do: commands, observations, rewards, terminations and curriculum as plain functions."""
+"""The tasks: commands, observations, rewards, terminations and curriculum, as plain functions."""

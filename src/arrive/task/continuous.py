@@ -1,4 +1,4 @@
-"""Continuous position tracking: be at the target all the time (paper, section Simulation Experiments, P_c)."""
+"""Continuous position tracking: the task reward is paid at every step (paper, section Simulation Experiments, P_c)."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,7 +8,7 @@ from arrive.task.final import FinalPositionTask, PositionConfig
 
 @dataclass(frozen=True)
 class ContinuousConfig(PositionConfig):
-    """Position targets whose reward is paid all the time."""
+    """Position targets, with the task reward paid at every step."""
 
     name: Literal["continuous"] = "continuous"
     """The task, see `arrive list tasks`."""
@@ -20,6 +20,6 @@ class ContinuousConfig(PositionConfig):
 
 
 class ContinuousPositionTask(FinalPositionTask):
-    """Position targets whose reward is paid at every step: T_r = T, and nothing else differs from `final`."""
+    """Position targets, with the task reward paid at every step: `final` with T_r = T."""
 
     Config = ContinuousConfig

@@ -1,4 +1,4 @@
-"""Terrain levels that follow success, and the exploration reward that goes when it has done its work."""
+"""The curriculum: terrain levels that follow success, and the exploration reward that is removed in time."""
 
 from collections.abc import Callable
 
@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 FOUND = 0.5
-"""Where the task reward is this share of its maximum, the task is found: exploration rewards go (paper, eq. 3)."""
+"""The exploration reward is removed once the task reward reaches this share of its maximum (paper, eq. 3)."""
 
 
 def deal_families(num_envs: int, families: int) -> Tensor:
-    """(num_envs,) index of each robot's terrain family: families take turns."""
+    """(num_envs,) index of each robot's terrain family, assigned in turn."""
     return torch.arange(num_envs) % families
 
 
@@ -18,14 +18,14 @@ class LevelCurriculum:
     """Each robot's terrain level: up after a success, down after a failure (paper, section Episode Process)."""
 
     def __init__(self, num_levels: Tensor, generator: torch.Generator):
-        """Start everybody on the first level.
+        """Start every robot on the first level.
 
         Args:
-            num_levels: (num_envs,) levels of each robot's family.
+            num_levels: (num_envs,) number of levels of each robot's family.
         """
         self._num_levels = num_levels
         self._generator = generator
-        # Zeros, drawn: without the draw every seed would give another run than it used to.
+        # All zeros. They are drawn only to keep the random numbers of a seed the same as before.
         self.levels = self._draw(torch.ones_like(num_levels)).long()
 
     def _uniform(self, like: Tensor) -> Tensor:
@@ -35,11 +35,11 @@ class LevelCurriculum:
         return (self._uniform(below) * below).floor()
 
     def deal(self, env_ids: Tensor, review: float) -> Tensor:
-        """Levels for the next episodes of some robots: their own, or a random easier one.
+        """Levels of some robots' next episodes: their own level, or a random easier one.
 
         Args:
             env_ids: (n,) robots.
-            review: share of the episodes on an easier level; those of robots on the first one stay there.
+            review: share of the episodes on an easier level. Robots on the first level stay there.
 
         Returns:
             (n,) levels.
@@ -51,11 +51,11 @@ class LevelCurriculum:
         return torch.where(reviews, self._draw(own).long(), own)
 
     def update(self, ended: Tensor, promote: Tensor, demote: Tensor, demotion_share: float = 1.0) -> None:
-        """Move the robots whose episode ended; who solves the last level goes on at a random one (legged_gym).
+        """Change the levels of robots whose episode ended. After the last level comes a random one (legged_gym).
 
         Args:
             ended, promote, demote: (num_envs,) bool.
-            demotion_share: share of those to be demoted that are.
+            demotion_share: probability that a robot in `demote` is in fact demoted.
         """
         if demotion_share < 1.0:
             demote = demote & (self._uniform(self.levels) < demotion_share)
@@ -66,19 +66,20 @@ class LevelCurriculum:
 
 
 class ExplorationSwitch:
-    """Pays the exploration reward on a terrain family until the task reward is at half of its maximum there.
+    """Pays the exploration reward on a terrain family until the task reward reaches half of its maximum there.
 
-    The paper (eq. 3) trains on one family at a time; where there are several, those that are not solved keep it. The
-    share is taken over the samples inside the reward window only: outside it the task reward is zero by definition, and
-    averaging those in would keep the exploration reward for ever. The samples that a robot misses because it crashed
-    count as zero: without them the few that survive a gap would speak for all.
+    The paper (eq. 3) trains on one family at a time. With several families, each one is switched off by itself.
+
+    The share is a mean over the samples inside the reward window. Outside it the task reward is zero by definition, so
+    including those samples would keep the exploration reward forever. Samples that a robot misses because it crashed
+    enter as zero. Without them, the few robots that survive a gap would decide for all.
     """
 
     CHECK_STEPS = 50
     """Policy steps between decisions: one reward window of 1 s."""
 
     def __init__(self, family_of_env: Tensor):
-        """Pay it everywhere.
+        """Start with the reward paid on every family.
 
         Args:
             family_of_env: (num_envs,) index of each robot's terrain family.
@@ -87,20 +88,20 @@ class ExplorationSwitch:
         self._families = families = int(family_of_env.max()) + 1
         device = family_of_env.device
         self.active = torch.ones(families, dtype=torch.bool, device=device)
-        """(families,) whether it is still paid."""
+        """(families,) bool: the reward is still paid."""
         self.fractions = torch.full((families,), torch.nan, device=device)
-        """(families,) mean task reward over its maximum at the last decision that had samples."""
+        """(families,) mean task reward over its maximum, at the last decision that had samples."""
         self._sums = torch.zeros(2, families, device=device)
         self._steps = 0
 
     @property
     def factor(self) -> Tensor:
-        """(num_envs,) what each robot's exploration reward is multiplied by."""
+        """(num_envs,) factor on each robot's exploration reward, 0 or 1."""
         return self.active.float()[self._family_of_env]
 
     @property
     def paid(self) -> float:
-        """Share of the robots to which it is paid in full."""
+        """Share of the robots that still get the exploration reward."""
         return float(self.active[self._family_of_env].float().mean())
 
     @property
@@ -109,11 +110,11 @@ class ExplorationSwitch:
         return float(self.fractions.nanmean().nan_to_num())
 
     def record(self, share: Tensor, weight: Tensor) -> None:
-        """Take in one policy step; every CHECK_STEPS decide.
+        """Add one policy step to the mean, and decide every CHECK_STEPS steps.
 
         Args:
             share: (num_envs,) task reward over its maximum.
-            weight: (num_envs,) number of samples inside the reward window, of episodes of full length, it stands for.
+            weight: (num_envs,) how many samples inside the reward window each share stands for; 0 leaves it out.
         """
         self._sums.index_add_(1, self._family_of_env, torch.stack([share * weight, weight]))
         self._steps += 1
@@ -121,10 +122,10 @@ class ExplorationSwitch:
             self._decide()
 
     def agree(self, any_of: Callable[[Tensor], Tensor]) -> None:
-        """Stop paying on a family as soon as one of the processes that train together does.
+        """Stop paying on a family as soon as one of the processes that train together stops.
 
         Args:
-            any_of: gives, for each flag of a bool tensor, whether it is set in any process.
+            any_of: for each flag of a bool tensor, returns whether it is set in any process.
         """
         self.active = ~any_of(~self.active)
 
@@ -136,7 +137,7 @@ class ExplorationSwitch:
         self._steps = 0
 
     def state_dict(self) -> dict[str, Tensor | int]:
-        """What was decided and what is being gathered."""
+        """The decisions so far and the running sums."""
         return {
             "active": self.active.clone(),
             "fractions": self.fractions.clone(),

@@ -1,19 +1,19 @@
-"""How long feet are in the air."""
+"""Air time of the feet."""
 
 from torch import Tensor
 
 
 def follow_feet(air_s: Tensor, touched: Tensor, touches: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-    """Let one policy step pass. A contact that is lost for one step does not end a stance (legged_gym).
+    """Advance the feet's air times by one policy step. Losing contact for one step does not end a stance (legged_gym).
 
     Args:
-        air_s: (n, feet) time each foot had been in the air [s].
+        air_s: (n, feet) air time of each foot before the step [s].
         touched, touches: (n, feet) bool: in contact before and after the step.
         dt: length of the step [s].
 
     Returns:
-        (n, feet) the same after the step [s], and (n, feet) for feet that have just landed how long they had been in
-        the air, 0 for the others [s].
+        (n, feet) air times after the step [s]; and (n, feet) the full air time of feet that have just landed, 0 for
+        the others [s].
     """
     stands = touches | touched
     longer = air_s + dt

@@ -1,4 +1,4 @@
-"""Final-position tracking: be at the target when the time is over (paper, section Method)."""
+"""Final-position tracking: be at the target when the time is up (paper, section Method)."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Literal, Self
@@ -16,43 +16,43 @@ from arrive.task.targets import REACH, next_valid, sample_targets
 from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
 
 OBSTACLE_HEIGHT = 0.6
-"""Ground this much above robot and target, on the line between them, is what the robot did not get around [m]."""
+"""Ground this much higher than both robot and target, on the line between them, is an obstacle in the way [m]."""
 APPROACH = 0.3
-"""Who came less than this nearer to the target was not stopped by the terrain [m]."""
+"""A robot that got closer to the target by less than this did not set out, so no obstacle stopped it [m]."""
 LINE_POINTS = 64
-"""Places on that line that are looked at: at most 0.1 m apart."""
+"""Number of points on that line whose height is looked up: at most 0.1 m apart."""
 
 
 @dataclass(frozen=True)
 class PositionConfig(TaskConfig):
-    """What the tasks have in common that send robots to places."""
+    """The fields that all position tasks share."""
 
     name: str = ""
     episode_s: Positive = 6.0
     """Longest episode T [s]."""
     episode_min_s: Positive = 6.0
-    """Shortest episode; lengths are drawn uniformly between the two [s]."""
+    """Shortest episode. Lengths are drawn uniformly between this and `episode_s` [s]."""
     arrival_radius: Positive = 0.5
-    """A robot this close to its target at the end has arrived [m]."""
+    """A robot has arrived when it is this close to its target at the end of the episode [m]."""
     target_distance: Annotated[Interval, Range(0.0, REACH)] = (1.0, 5.0)
-    """Distance of targets from the start, uniform [m]."""
+    """Distance of targets from the start, drawn uniformly [m]."""
     target_height: NotNegative = 0.5
     """Height of targets above the ground [m]."""
     crossing_share: Share = 0.0
-    """Share of the targets that are drawn only where they count, beyond the terrain to be crossed: of all those among
-    pillars, two thirds can be reached straight."""
+    """Share of the targets that are drawn only beyond the terrain that is to be crossed, where they count for the
+    curriculum. Without it many targets need no crossing: among pillars, a straight walk reaches two thirds of them."""
     nearest_share: Share = 0.0
     """Share of those targets that are just beyond the terrain to be crossed: robots must also learn to stop there and to
     stand with their hind feet near an edge."""
     retarget_s: NotNegative = 0.0
-    """Mean time after which a robot in training gets another target and the time for it, without an end of the episode;
-    0 for never [s]."""
+    """Mean time after which a robot in training gets a new target and a new time for it within the same episode; 0 for
+    never [s]."""
     stop_share: Share = 0.0
-    """Share of those other targets that are where the robot is: it is told to stop."""
+    """Share of those new targets that are at the robot's own position, which tells it to stop."""
     rewards: PositionRewards = PositionRewards()
 
     def rules(self) -> tuple[Rule, ...]:
-        """What fields must be because of others."""
+        """Conditions between fields."""
         shortest, longest = self.episode_min_s, self.episode_s
         farthest = self.target_distance[1]
         return (
@@ -106,7 +106,7 @@ class FinalPositionTask:
 
     @classmethod
     def from_preset(cls, config: TaskConfig) -> TaskConfig:
-        """The preset's fields and rewards, as far as this task has them; others as they are by default."""
+        """Take the fields and rewards that the preset shares with this task, and defaults for the rest."""
         if isinstance(config, cls.Config):
             return config
         own = cls.Config()
@@ -154,12 +154,12 @@ class FinalPositionTask:
             self._waited_s[ids] = 0.0
             command.counts[ids] = crossing
         elif first:
-            # Robots that all began together would end together; a shortened episode proves nothing.
+            # Spreads the ends of the first episodes. Their outcome does not count, because they are shortened.
             command.time_left_s[ids] = config.episode_s * draw
             command.counts[ids] = False
         else:
             length = config.episode_min_s + (config.episode_s - config.episode_min_s) * draw
-            # Whole policy steps, so that the reward window has the same number of them in every episode.
+            # Whole policy steps, so that the reward window has the same number of steps in every episode.
             command.time_left_s[ids] = (length / self._dt).round() * self._dt
             command.counts[ids] = crossing
 
@@ -177,9 +177,9 @@ class FinalPositionTask:
         return torch.cat([point, ground + self._config.target_height], dim=-1)
 
     def follow(self, state: State) -> None:
-        """Nothing of the way counts, only its end; at random moments another target takes the place of the present one.
+        """Replace targets at random moments, if the configuration asks for it.
 
-        Where it lies beyond the terrain that the robot has already crossed it does not count for the curriculum.
+        A new target beyond terrain that the robot has already crossed does not count for the curriculum.
         """
         if isinstance(self._trial, Cruise):
             everyone = torch.arange(len(self._tile_ids), device=self._tile_ids.device)
@@ -196,7 +196,7 @@ class FinalPositionTask:
                 self._stop(ids, here)
 
     def _stop(self, ids: Tensor, here: Tensor) -> None:
-        """Move the targets of some of these robots to where they are."""
+        """Tell a share of these robots to stop: their target becomes their own position."""
         draw = torch.rand(len(ids), generator=self._generator, device=ids.device)
         chosen = draw < self._config.stop_share
         ids, here = ids[chosen], here[chosen]
@@ -218,7 +218,10 @@ class FinalPositionTask:
         return over
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
-        """Success is being within the arrival radius without a crash; a level counts only when it was crossed."""
+        """Success is being within the arrival radius without a crash.
+
+        Levels change only for targets beyond the terrain (`Command.counts`).
+        """
         distance = distance_to_target(state, self._command)
         failed = crashed | fell
         success = (distance < self._config.arrival_radius) & ~failed
@@ -240,10 +243,10 @@ class FinalPositionTask:
         )
 
     def _apart(self, state: State, missed: Tensor) -> Tensor:
-        """(n,) bool: the robot set out but the terrain still lies before its target, for episodes that end now.
+        """(n,) bool: the episode ends now, and the robot set out but the terrain still separates it from its target.
 
-        The target counts as crossing but the robot's place does not, where that tells (a gap, a wall, stairs), or a
-        high obstacle stands on the straight line.
+        Either the target lies beyond the terrain and the robot does not, on terrain where this separates them (a gap, a
+        wall, stairs), or a high obstacle stands on the straight line between them.
         """
         apart = torch.zeros_like(missed)
         came = self._command.start_distance - distance_to_target(state, self._command) > APPROACH

@@ -20,10 +20,11 @@ class HeightsConfig:
     noise: NotNegative = 0.1
     """Half-width of the uniform noise [m]."""
     scale: Positive = 5.0
-    """The policy receives height samples times this [1/m]."""
+    """Factor on the height samples that the policy receives [1/m]."""
     clip: Interval = (-1.0, 1.0)
-    """Relative heights are cut at these: how far above and how far below 0.5 m under the base ground is told apart [m].
-    What is deeper than any foot reaches should look the same, whether it is half a metre deep or two."""
+    """Relative heights are clipped to this range [m]. They are measured down from a point 0.5 m below the base: -1 is
+    ground 1 m above that point, 0.4 is ground 0.4 m below it. A low upper limit makes all ground look the same that is
+    too deep for the feet, whether half a metre deep or two."""
     length: Annotated[float, Range(0.0, 2.0 * RASTER_HALF, above=True)] = 1.6
     """Extent of the grid along the heading [m]."""
     width: Annotated[float, Range(0.0, 2.0 * RASTER_HALF, above=True)] = 1.0
@@ -32,12 +33,12 @@ class HeightsConfig:
     """Distance between height samples [m]."""
 
     def rules(self) -> tuple[Rule, ...]:
-        """What fields must be because of others."""
+        """Conditions between fields."""
         return (Rule("clip", "two numbers, the first below 0, the second above 0", self.clip[0] < 0.0 < self.clip[1]),)
 
 
 class HeightGrid:
-    """Points around the base, aligned with its heading, at which the ground's height is looked up."""
+    """Points around the base, aligned with its heading, at which the ground height is looked up."""
 
     def __init__(self, config: HeightsConfig):
         self._length, self._width, self._step = config.length, config.width, config.step
@@ -66,12 +67,13 @@ def _symmetric_range(extent: float, step: float) -> Tensor:
 
 
 def look_up(rasters: Tensor, raster_ids: Tensor, points_w: Tensor) -> Tensor:
-    """Values of the raster cells that points lie in.
+    """Values of the raster cells that contain the points.
 
     Args:
         rasters: (num_rasters, RASTER_SIZE, RASTER_SIZE).
         raster_ids: (n,) the raster of each row.
-        points_w: (n, k, 2) horizontal positions in the tile's frame [m]; beyond the raster its edge counts.
+        points_w: (n, k, 2) horizontal positions in the tile's frame [m]. Points outside the raster take the value at
+            its edge.
 
     Returns:
         (n, k) values.
@@ -82,7 +84,7 @@ def look_up(rasters: Tensor, raster_ids: Tensor, points_w: Tensor) -> Tensor:
 
 
 def grid_heights(rasters: Tensor, raster_ids: Tensor, points: Tensor, base_pos_w: Tensor, yaw: Tensor) -> Tensor:
-    """What `look_up` finds at grid points around each base, a tenth of its time: all points by one matrix product.
+    """The same as `look_up` at grid points around each base, ten times as fast: one matrix product for all points.
 
     Args:
         rasters: (num_rasters, RASTER_SIZE, RASTER_SIZE) float32.
@@ -101,7 +103,7 @@ def grid_heights(rasters: Tensor, raster_ids: Tensor, points: Tensor, base_pos_w
     origin = (base_pos_w[:, :2] + RASTER_HALF) / RASTER_CELL
     pose = torch.cat([yaw.cos().unsqueeze(-1), yaw.sin().unsqueeze(-1), origin], dim=-1)
     cells = (pose @ to_cells).clamp_(0, RASTER_SIZE - 1).floor_()
-    # A raster's cell numbers are small enough to be exact in float32.
+    # Cell numbers are small enough to be exact in float32.
     flat = torch.add(cells[:, k:], cells[:, :k], alpha=RASTER_SIZE).int()
     flat += (raster_ids * RASTER_SIZE**2).int().unsqueeze(-1)
     return rasters.view(-1).index_select(0, flat.view(-1)).view(n, k)

@@ -1,4 +1,4 @@
-"""What an environment remembers of its robots from one step to the next."""
+"""What an environment keeps of its robots between steps."""
 
 from dataclasses import dataclass, fields
 from typing import Self
@@ -18,21 +18,21 @@ class Memory:
     action: Tensor
     """(n, joints) the last action, in units of the action scale."""
     previous_action: Tensor
-    """(n, joints) the one before it."""
+    """(n, joints) the action before that."""
     joint_vel: Tensor
     """(n, joints) at the last step [rad/s]."""
     foot_vel: Tensor
     """(n, feet, 3) at the last step, in the world frame [m/s]."""
     foot_air_s: Tensor
-    """(n, feet) how long each foot has been in the air [s]."""
+    """(n, feet) air time of each foot so far [s]."""
     foot_touched: Tensor
     """(n, feet) bool: in contact at the last step."""
     fresh: Tensor
-    """(n,) bool: reset, and not stepped since."""
+    """(n,) bool: reset and not stepped since."""
     moved: Tensor
     """(n,) bool: reset or pushed since the state was read."""
     shortened: Tensor
-    """(n,) bool: in the shortened episode with which a run begins."""
+    """(n,) bool: in its first episode of the run, which is shortened."""
     retired: Tensor
     """(n,) bool: taken out of the simulation."""
     tile: Tensor
@@ -42,7 +42,7 @@ class Memory:
 
     @classmethod
     def blank(cls, num_envs: int, robot: Robot, device: torch.device) -> Self:
-        """Before the first reset."""
+        """The memory before the first reset."""
         joints, feet = len(robot.joint_names), len(robot.foot_sites)
         flags = {"dtype": torch.bool, "device": device}
         return cls(
@@ -65,12 +65,12 @@ class Memory:
         return Memory(**{name: value[ids] for name, value in vars(self).items()})
 
     def act(self, actions: Tensor) -> None:
-        """Take in the actions of a step that begins."""
+        """Store the actions of a step that begins."""
         self.previous_action.copy_(self.action)
         self.action.copy_(actions)
 
     def keep(self, state: State, dt: float) -> None:
-        """Keep what the next step is compared with."""
+        """Store what the next step needs for its differences and air times."""
         self.joint_vel.copy_(state.joint_vel)
         self.foot_vel.copy_(state.foot_vel_w)
         touches = state.foot_contacts > 0
@@ -80,7 +80,7 @@ class Memory:
         self.fresh.zero_()
 
     def reset(self, ids: Tensor, joint_vel: Tensor, level: Tensor, tile: Tensor, shortened: bool) -> None:
-        """Forget robots that start an episode, at these joint velocities, on these levels and tiles."""
+        """Clear the rows of robots that start an episode at these joint velocities, on these levels and tiles."""
         for value in (self.action, self.previous_action, self.foot_vel, self.foot_air_s, self.foot_touched):
             value[ids] = 0
         self.joint_vel[ids] = joint_vel
@@ -89,10 +89,10 @@ class Memory:
         self.shortened[ids] = shortened
 
     def state_dict(self) -> dict[str, Tensor]:
-        """A copy, to go on exactly."""
+        """A copy, for an exact resume."""
         return {name: value.clone() for name, value in vars(self).items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on exactly."""
+        """Resume exactly."""
         for row in fields(self):
             getattr(self, row.name).copy_(state[row.name])

@@ -1,4 +1,4 @@
-"""What the policy senses: named terms in a fixed order, from which sizes, scales, noise and mirror maps follow."""
+"""Observations: named terms in a fixed order. Sizes, scales, noise and mirror maps are computed from them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from arrive.task.state import Command, State
 from arrive.terms import TERMS, TermMeaning
 
 HEIGHT_OFFSET = 0.5
-"""Heights are given relative to this far below the base of a robot of ANYmal C's size (legged_gym) [m]."""
+"""Heights are relative to a point this far below the base, for a robot of ANYmal C's size (legged_gym) [m]."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,13 @@ def _noise(width: float) -> Noise:
 
 @dataclass(frozen=True)
 class ObservationConfig:
-    """What the policy senses."""
+    """What the policy observes."""
 
     noise: bool = True
-    """Whether noise is added."""
+    """Whether to add noise."""
     noise_least: Share = 1.0
-    """Least share of the noise in training: robots get shares from this to 1, evenly spread, each its own for ever."""
+    """Lowest noise factor in training. Each robot has a fixed factor on its noise; the factors are evenly spaced from
+    this to 1."""
     base_lin_vel: Noise = _noise(0.1)
     """Base linear velocity [m/s]."""
     base_ang_vel: Noise = _noise(0.2)
@@ -58,21 +59,21 @@ class ObservationTerm:
     """One named slice of the observation."""
 
     name: str
-    """One of `arrive.terms`."""
+    """A name from `arrive.terms`."""
     labels: tuple[str, ...]
-    """What each entry is."""
+    """Meaning of each entry."""
     scale: float
     """The policy receives value * scale."""
     noise: float
     """Half-width of the uniform noise, in the term's unit."""
     mirror: tuple[tuple[int, float], ...]
-    """For each entry, the entry it takes from and the sign under left-right reflection."""
+    """Left-right reflection: for each entry, the entry that it comes from, and its sign."""
     reverse: tuple[tuple[int, float], ...]
-    """The same under front-back reflection; as `mirror` counts, of no use for a robot that has no such symmetry."""
+    """Front-back reflection, in the same form. It is not used for a robot without that symmetry."""
     compute: Callable[[State, Any], Tensor]
-    """Of the state and the task's own command."""
+    """Computes the term from the state and the task's own command."""
     reference: str = ""
-    """What the term's frame has in addition, as it depends on the robot."""
+    """Text added to the term's frame, where it depends on the robot."""
 
     @property
     def meaning(self) -> TermMeaning:
@@ -98,7 +99,7 @@ def joint_mirror(robot: Robot) -> tuple[tuple[int, float], ...]:
 
 
 def joint_reverse(robot: Robot) -> tuple[tuple[int, float], ...]:
-    """The robot's front-back map by index; every joint its own partner where the robot has no such symmetry."""
+    """The robot's front-back map by index. For a robot without that symmetry, every joint maps to itself."""
     index = {name: i for i, name in enumerate(robot.joint_names)}
     partners = robot.joint_reverse or tuple((name, 1.0) for name in robot.joint_names)
     return tuple((index[partner], sign) for partner, sign in partners)
@@ -107,7 +108,7 @@ def joint_reverse(robot: Robot) -> tuple[tuple[int, float], ...]:
 def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float) -> tuple[ObservationTerm, ...]:
     """The paper's observations (section Observation and Action Space) with legged_gym's scales and noise.
 
-    More remaining time than an episode of training has is told as that much: the policy has never seen more.
+    The time left is clamped to the longest episode in training, because the policy has never seen more.
     """
     target_and_time = (
         ObservationTerm("target", XYZ, 0.5, 0.0, VECTOR_MIRROR, VECTOR_REVERSE,
@@ -121,9 +122,10 @@ def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float)
 def around_command(
     robot: Robot, config: ObservationConfig, command_terms: tuple[ObservationTerm, ...]
 ) -> tuple[ObservationTerm, ...]:
-    """What the policy of every task senses, with the terms of the task's own command in their place.
+    """The observation terms of every task, with the task's own command terms inserted.
 
-    The direction of gravity is not in the paper's list but in the set-up of Rudin et al. 2021 that it builds on.
+    The direction of gravity is not in the paper's list. It is in the set-up of Rudin et al. 2021, on which the paper
+    builds.
     """
     joints = robot.joint_names
     joint_maps = joint_mirror(robot), joint_reverse(robot)
@@ -149,12 +151,12 @@ def around_command(
 
 
 def height_offset(robot: Robot) -> float:
-    """How far below the base of a robot the point lies to which heights are relative [m]."""
+    """Distance from the base down to the point that heights are relative to [m]."""
     return HEIGHT_OFFSET * robot.size
 
 
 def relative_heights(state: State, offset: float) -> Tensor:
-    """(n, points) how far the ground lies below the point `offset` under the base [m]."""
+    """(n, points) how far the ground lies below the point that is `offset` below the base [m]."""
     return state.base_pos_w[:, 2:3] - offset - state.heights_w
 
 
@@ -162,10 +164,10 @@ class Observer:
     """Computes the observation vector from its terms."""
 
     def __init__(self, terms: tuple[ObservationTerm, ...], noisy: bool, device: torch.device, noise_least: float = 1.0):
-        """Add up the terms.
+        """Prepare scales and noise from the terms.
 
         Args:
-            noise_least: share of the noise that the first robot gets; the last one gets all, others in even steps.
+            noise_least: factor on the first robot's noise. The last robot's is 1, and the others are evenly spaced.
         """
         self.terms = terms
         self.size = sum(term.size for term in terms)
@@ -178,7 +180,7 @@ class Observer:
         return torch.tensor(values).repeat_interleave(sizes).to(device)
 
     def observe(self, state: State, command: Command, generator: torch.Generator) -> Tensor:
-        """(n, size) scaled observation, with noise where this observer is noisy."""
+        """(n, size) scaled observation, with noise if this observer adds noise."""
         clean = torch.cat([term.compute(state, command) for term in self.terms], dim=-1) * self._scale
         if not self._noisy:
             return clean
@@ -204,7 +206,7 @@ class Observer:
         return self._joined([term.mirror for term in self.terms])
 
     def reverse(self) -> tuple[Tensor, Tensor]:
-        """The same of front-back reflection."""
+        """The same for front-back reflection."""
         return self._joined([term.reverse for term in self.terms])
 
     def _joined(self, maps: list[tuple[tuple[int, float], ...]]) -> tuple[Tensor, Tensor]:
@@ -216,5 +218,5 @@ class Observer:
         return torch.tensor(index), torch.tensor(sign)
 
     def column(self, name: str, entry: int) -> int:
-        """Where an entry of a term stands in the observation."""
+        """Index in the observation of an entry of a term."""
         return next(row["start"] for row in self.schema() if row["name"] == name) + entry

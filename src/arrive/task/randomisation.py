@@ -1,4 +1,4 @@
-"""What differs between robots and what disturbs them: start states and pushes."""
+"""Randomisation: start states and pushes."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from arrive.robots.robot import Robot
 from arrive.task.rotation import quat_of_yaw
 
 SPAWN_CLEARANCE = 0.06
-"""Robots of ANYmal C's size start this much above standing height: the random start pose may stretch their legs [m]."""
+"""Robots of ANYmal C's size start this much above standing height, because a random pose may stretch their legs [m]."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class RandomisationConfig:
     """What differs between robots and what disturbs them."""
 
     friction: Annotated[Interval, Range(0.0, above=True)] = (0.75, 1.125)
-    """Sliding friction of a contact, uniform. legged_gym deals 0.5 to 1.25 to robots, and PhysX takes the mean of that
-    and the terrain's 1.0."""
+    """Sliding friction of a contact, uniform. legged_gym gives robots 0.5 to 1.25, and PhysX averages that with the
+    terrain's 1.0."""
     payload_kg: Interval = (-5.0, 5.0)
     """Mass added to the base, uniform [kg]."""
     push_speed: NotNegative = 1.0
@@ -29,19 +29,19 @@ class RandomisationConfig:
     push_interval_s: Positive = 15.0
     """Mean time between pushes of one robot [s]."""
     start_yaw_rad: Annotated[float, Range(0.0, math.pi)] = math.pi
-    """Start heading, uniform within this of the tile's x axis [rad]."""
+    """Start heading, uniform within +- this of the tile's x axis [rad]."""
     start_offset: NotNegative = 0.2
-    """Start position, uniform within this of the tile's origin, per axis [m]."""
+    """Start position, uniform within +- this of the tile's origin, per axis [m]."""
     start_speed: NotNegative = 0.5
-    """Start velocity of the base, uniform within this, per axis [m/s and rad/s]."""
+    """Start velocity of the base, uniform within +- this, per axis [m/s and rad/s]."""
     start_joint_scale: Share = 0.5
-    """Start joint positions: the default ones times 1 +- this, uniform."""
+    """Start joint positions: the default ones times a factor that is uniform within 1 +- this."""
 
 
 def start_states(
     n: int, robot: Robot, config: RandomisationConfig, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Random poses and velocities around standing at the tile's origin.
+    """Draw random poses and velocities around standing at the tile's origin.
 
     Returns:
         (n, 7 + joints) positions and (n, 6 + joints) velocities in MuJoCo's order [m, rad, m/s, rad/s], float64.
@@ -62,13 +62,13 @@ def start_states(
 def draw_pushes(
     spared: Tensor, config: RandomisationConfig, control_dt: float, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Whom to push in this step, `push_interval_s` apart on average, and how.
+    """Draw the robots to push in this step, each every `push_interval_s` on average, and their changes of velocity.
 
     Args:
-        spared: (num_envs,) bool: these are not pushed.
+        spared: (num_envs,) bool: robots not to push.
 
     Returns:
-        (n,) robots and (n, 3) changes of their bases' velocities in the world frame [m/s], float64.
+        (n,) robots, and (n, 3) changes of their base velocities in the world frame [m/s], float64.
     """
     device = spared.device
     if config.push_speed <= 0.0:

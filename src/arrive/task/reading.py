@@ -1,4 +1,4 @@
-"""From what physics measures to the state that observations, rewards and terminations read."""
+"""Turns readings from physics into the state that observations, rewards and terminations use."""
 
 import torch
 from torch import Tensor
@@ -14,7 +14,7 @@ from arrive.terrain.rasters import Rasters
 
 
 class Reader:
-    """Makes robots' states from their readings."""
+    """Computes the robots' state from their readings."""
 
     def __init__(self, robot: Robot, rasters: Rasters, heights: HeightsConfig, control_dt: float):
         self._rasters, self._dt = rasters, control_dt
@@ -24,7 +24,7 @@ class Reader:
         self._down = torch.tensor([0.0, 0.0, -1.0], device=device)
 
     def read(self, readings: Readings, memory: Memory) -> State:
-        """The state of robots from their readings and their rows of the memory."""
+        """The state of robots, from their readings and their rows of the memory."""
         if not bool(readings.finite.all()):
             readings = _silence(readings)
         quat, moving = readings.base_quat_w, (~memory.fresh).float()
@@ -60,7 +60,7 @@ class Reader:
 
 
 def _silence(readings: Readings) -> Readings:
-    """Readings with diverged robots' values replaced by zeros, so that they cannot spoil sums over all robots."""
+    """Replace the readings of diverged robots by zeros, so that they cannot spoil sums over all robots."""
     values = {}
     for name, value in vars(readings).items():
         mask = readings.finite.view(-1, *[1] * (value.ndim - 1))

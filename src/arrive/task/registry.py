@@ -1,4 +1,4 @@
-"""Tasks by name; a new task is one module and one line here."""
+"""Tasks by name. A new task needs one module and one line here."""
 
 from arrive.registry import add, get
 from arrive.task.continuous import ContinuousPositionTask
@@ -10,7 +10,7 @@ TASKS: dict[str, type[Task]] = {}
 
 
 def register_task(task: type[Task]) -> type[Task]:
-    """Add a task under the name in its configuration, which `--task NAME` then chooses; a decorator.
+    """Decorator that adds a task under the name in its configuration, for `--task NAME`.
 
     Raises:
         ArriveError: the name is taken.

@@ -1,8 +1,8 @@
-"""Reward terms: each a rate per second, so that weight * rate * time step is what a policy step earns.
+"""Reward terms. Each is a rate per second: a policy step earns weight * rate * time step.
 
-A term is a function of the state and the task's own command, and a line in `PositionRewards` or `VelocityRewards`. What
-else it needs it names as keyword arguments: its own parameters, which stand beside its weight, or fields of the task's
-configuration. Rewards are positive; costs are named `*_cost`, are positive too, and get negative weights.
+A term is a function of the state and the task's own command, and a line in `PositionRewards` or `VelocityRewards`. It
+names its other inputs as keyword arguments: its own parameters, which stand beside its weight, or fields of the task's
+configuration. Rewards and costs are both positive. Costs are named `*_cost` and get negative weights.
 """
 
 import inspect
@@ -25,14 +25,14 @@ STALL_DISTANCE = 0.5
 PACES = (0.3, 1.5)
 """Slowest and fastest speed that the `pace` reward asks for [m/s]."""
 LEAST_TIME_S = 0.2
-"""Less remaining time than this is taken for this much [s]."""
+"""Lower bound on the time left in `pace` [s]."""
 CRASH_COST = "crash_cost"
-"""Name of the term that is paid once, at a crash, and whose weight a schedule may change."""
+"""Name of the term that is paid once, at a crash. A schedule may change its weight."""
 
 
 @dataclass(frozen=True)
 class Reward:
-    """A reward without parameters of its own; 0 for none."""
+    """A reward without parameters of its own."""
 
     MAIN: ClassVar[str] = "weight"
 
@@ -42,7 +42,7 @@ class Reward:
 
 @dataclass(frozen=True)
 class Cost:
-    """A cost without parameters of its own; 0 for none."""
+    """A cost without parameters of its own."""
 
     MAIN: ClassVar[str] = "weight"
 
@@ -57,8 +57,8 @@ class Approach(Reward):
     speed: Positive = 1.0
     """Speed towards the target at which it saturates [m/s]."""
     radius: Positive = 0.5
-    """Nearer to the target than this, and within the arrival radius, it is full [m]. At the arrival radius itself
-    robots may learn to stop just there, and miss it by a centimetre."""
+    """The reward is 1 when the robot is closer to the target than both this and the arrival radius [m]. With the
+    arrival radius alone, robots may learn to stop exactly there and miss it by a centimetre."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Stall(Cost):
 
 
 def term(function: Callable[..., Tensor], config: Reward | Cost | None = None) -> Any:
-    """A field of a table of rewards: the function that computes the term, and its parameters where it has some."""
+    """A field of a reward table: the function that computes the term, and its parameters if it has any."""
     default = config or (Cost() if function.__name__.endswith("_cost") else Reward())
     meaning = (function.__doc__ or "").strip().splitlines()[0]
     return field(default=default, metadata={"function": function, "meaning": meaning})
@@ -82,7 +82,7 @@ def distance_to_target(state: State, command: Command) -> Tensor:
 
 
 def in_window(command: Command, window_s: float) -> Tensor:
-    """(n,) bool: the task reward is being paid, t > T - T_r (paper, eq. 1)."""
+    """(n,) bool: inside the reward window, t > T - T_r (paper, eq. 1)."""
     return command.time_left_s < window_s
 
 
@@ -97,7 +97,7 @@ def task(state: State, command: Command, *, reward_window_s: float) -> Tensor:
 
 
 def task_share(state: State, command: Command, *, reward_window_s: float) -> tuple[Tensor, Tensor]:
-    """(n,) the task reward over its maximum, 1/(1 + |x - x*|^2), and (n,) bool: it is being paid."""
+    """(n,) the task reward over its maximum, 1/(1 + |x - x*|^2), and (n,) bool: inside the reward window."""
     share = 1.0 / (1.0 + distance_to_target(state, command).square())
     return share, in_window(command, reward_window_s)
 
@@ -148,11 +148,11 @@ def _closing(state: State, command: Command) -> tuple[Tensor, Tensor]:
 def approach(state: State, command: Command, *, speed: float, radius: float, arrival_radius: float) -> Tensor:
     """Speed towards the target, up to `speed`; 1 within `radius`. Not in the paper.
 
-    Unlike the cosine of eq. 3 it grows with speed, so that shuffling does not earn what walking does. Where the arrival
-    radius is the smaller of the two, that one holds.
+    Unlike the cosine of eq. 3 it grows with speed, so that shuffling earns less than walking. If the arrival radius is
+    smaller than `radius`, the arrival radius is used.
 
     Returns:
-        (n,) share of `speed`, at most 1.
+        (n,) speed as a share of `speed`, -1 to 1.
     """
     closing, distance = _closing(state, command)
     share = (closing / speed).clamp(-1.0, 1.0)
@@ -160,13 +160,13 @@ def approach(state: State, command: Command, *, speed: float, radius: float, arr
 
 
 def pace(state: State, command: Command, *, arrival_radius: float) -> Tensor:
-    """Speed towards the target over the distance that is left per remaining time. Not in the paper.
+    """Speed towards the target over the speed needed: remaining distance / remaining time. Not in the paper.
 
-    That speed is what a joystick's pseudo velocity asks for. The reward grows up to it and falls again beyond it, so
-    that a robot with time to spare earns by taking it.
+    The speed needed is what a joystick's pseudo velocity asks for. The reward grows up to that speed and falls beyond
+    it, so that a robot with enough time does not hurry.
 
     Returns:
-        (n,) share, -1 to 1; 1 within the arrival radius.
+        (n,) -1 to 1; 1 within the arrival radius.
     """
     speed, distance = _closing(state, command)
     share = speed / (distance / command.time_left_s.clamp(min=LEAST_TIME_S)).clamp(*PACES)
@@ -178,7 +178,8 @@ def stand(state: State, command: Command, *, reward_window_s: float, arrival_rad
     """Standing still at the target during the reward window. Not in the paper.
 
     Returns:
-        (n,) rate [1/s]: 1/T_r * exp(-2 |v|) within the arrival radius, v the base's velocity; its integral at most 1.
+        (n,) rate [1/s]: 1/T_r * exp(-2 |v|) within the arrival radius, where v is the base velocity. Its integral is
+        at most 1.
     """
     here = (distance_to_target(state, command) < arrival_radius) & in_window(command, reward_window_s)
     return here * torch.exp(-2.0 * state.base_lin_vel_w.norm(dim=-1)) / reward_window_s
@@ -187,7 +188,7 @@ def stand(state: State, command: Command, *, reward_window_s: float, arrival_rad
 def pose_cost(state: State, command: Command) -> Tensor:
     """Sum of squared joint positions relative to the default pose, (n,) [rad^2]. Not in the paper.
 
-    Without it nothing asks a robot that has stopped to set its feet under its hips again.
+    Without it, nothing makes a robot that has stopped put its feet back under its hips.
     """
     return state.joint_offset.square().sum(-1)
 
@@ -199,7 +200,7 @@ def crash_cost(failed: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class PositionRewards:
-    """Terms of the tasks that send robots to places."""
+    """Reward terms of the position tasks."""
 
     task: Reward = term(task)
     exploration: Reward = term(exploration)
@@ -217,24 +218,24 @@ class PositionRewards:
 
 
 def functions(rewards: Any) -> dict[str, Callable[..., Tensor]]:
-    """The function of every term of a table of rewards, by name."""
+    """The function of every term of a reward table, by name."""
     return {row.name: row.metadata["function"] for row in fields(rewards)}
 
 
 LEADING_REWARDS = ("exploration", "approach", "pace")
-"""Terms that lead the way to the target."""
+"""Terms that guide robots towards the target."""
 
 
 class Rewarder:
-    """Computes the weighted rewards of a task's terms, the counterpart of the `Observer`."""
+    """Computes the weighted rewards of a task's terms, as the `Observer` computes the observation."""
 
     def __init__(self, task: Any, control_dt: float, dear_crashes: bool = False):
-        """Give every term with a weight its parameters.
+        """Bind every term with a weight to its parameters.
 
         Args:
             task: the task's configuration, with its `rewards`.
             control_dt: length of a policy step [s].
-            dear_crashes: whether `crash_cost` is a term even where it has no weight yet.
+            dear_crashes: include `crash_cost` even if its weight is 0, because a schedule will raise it.
 
         Raises:
             ArriveError: no term has a weight.
@@ -250,15 +251,15 @@ class Rewarder:
 
     @property
     def leads(self) -> bool:
-        """Whether a term leads the way to the target."""
+        """Whether a term guides robots towards the target."""
         return any(name in self.terms for name in LEADING_REWARDS)
 
     def pay(self, state: State, command: Any, failed: Tensor, exploration: Tensor) -> dict[str, Tensor]:
-        """What one policy step earns, by term, (num_envs,) each; what is not finite earns nothing.
+        """Rewards of one policy step by term, (num_envs,) each. Diverged robots get 0.
 
         Args:
             failed: (num_envs,) bool: the robot has just crashed or fallen.
-            exploration: (num_envs,) what the exploration reward is multiplied by.
+            exploration: (num_envs,) factor on the exploration reward.
         """
         terms: dict[str, Tensor] = {}
         for name, function in self.terms.items():
@@ -272,7 +273,7 @@ class Rewarder:
 
 
 def bound(name: str, task: Any) -> Callable[[State, Any], Tensor]:
-    """A term's function with its parameters, from its own fields or else from the task's."""
+    """A term's function with its parameters bound, taken from the term's own fields or else from the task's."""
     function, own = functions(task.rewards)[name], getattr(task.rewards, name)
     asked = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
     return partial(function, **{p: getattr(own, p) if hasattr(own, p) else getattr(task, p) for p in asked})

@@ -19,12 +19,12 @@ def rotate_inverse(quat: Tensor, vector: Tensor) -> Tensor:
 
 
 def yaw_of(quat: Tensor) -> Tensor:
-    """(n,) heading of (n, 4) orientations: the angle of the body's x axis in the ground plane [rad]."""
+    """(n,) heading of (n, 4) orientations: angle of the body's x axis in the horizontal plane [rad]."""
     w, x, y, z = quat.unbind(-1)
     return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def quat_of_yaw(yaw: Tensor) -> Tensor:
-    """(n, 4) quaternions of rotations by (n,) angles about the vertical [rad]."""
+    """(n, 4) quaternions of rotations by (n,) angles about the vertical axis [rad]."""
     zero = torch.zeros_like(yaw)
     return torch.stack([torch.cos(yaw / 2), zero, zero, torch.sin(yaw / 2)], dim=-1)

@@ -1,4 +1,4 @@
-"""The typed state that observations, rewards and terminations read."""
+"""The typed state that observations, rewards and terminations use."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class State:
     base_pos_w: Tensor
     """(n, 3) [m]."""
     base_quat_w: Tensor
-    """(n, 4), (w, x, y, z), rotates base into world."""
+    """(n, 4), (w, x, y, z), rotates from base to world."""
     base_lin_vel_w: Tensor
     """(n, 3) [m/s]."""
     base_lin_vel_b: Tensor
@@ -27,7 +27,7 @@ class State:
     joint_pos: Tensor
     """(n, joints) [rad]."""
     joint_offset: Tensor
-    """(n, joints) joint_pos less the default pose [rad]."""
+    """(n, joints) joint_pos minus the default pose [rad]."""
     joint_vel: Tensor
     """(n, joints) [rad/s]."""
     joint_acc: Tensor
@@ -39,34 +39,34 @@ class State:
     foot_acc_w: Tensor
     """(n, feet, 3) change of foot velocity over the policy step [m/s^2]."""
     foot_landed_s: Tensor
-    """(n, feet) how long each foot that has just landed had been in the air, 0 for the others [s]."""
+    """(n, feet) air time of feet that have just landed, 0 for the others [s]."""
     action: Tensor
     """(n, joints) the action just applied, in units of the action scale."""
     previous_action: Tensor
     """(n, joints) the action before it."""
     crash_contacts: Tensor
-    """(n,) contacts of bodies that must not touch anything."""
+    """(n,) number of contacts of bodies that must not touch anything."""
     collision_contacts: Tensor
-    """(n,) thighs and shanks in contact, the paper's N_c."""
+    """(n,) number of thighs and shanks in contact, the paper's N_c."""
     foot_contacts: Tensor
-    """(n, feet) contacts of each foot."""
+    """(n, feet) number of contacts of each foot."""
     heights_w: Tensor
     """(n, points) ground height under each point of the yaw-aligned grid around the base [m]."""
     fall_height: Tensor
-    """(n,) a base lower than this has fallen into a hole [m]."""
+    """(n,) a base below this height has fallen into a hole [m]."""
     finite: Tensor
-    """(n,) bool: the simulation did not diverge; of a robot whose simulation did, everything else is zero."""
+    """(n,) bool: the simulation did not diverge. If it did, all other entries of that robot are zero."""
 
 
 @dataclass
 class Command:
-    """Where to be, and how much time is left."""
+    """A target, and the time left to reach it."""
 
     target_w: Tensor
-    """(n, 3) wanted position of the base [m]."""
+    """(n, 3) target position of the base [m]."""
     time_left_s: Tensor
     """(n,) until the episode ends [s]."""
     start_distance: Tensor
     """(n,) distance to the target when it was given [m]."""
     counts: Tensor
-    """(n,) bool: reaching this target means having crossed the terrain."""
+    """(n,) bool: the target lies beyond the terrain, so that reaching or missing it changes the terrain level."""

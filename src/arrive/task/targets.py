@@ -1,4 +1,4 @@
-"""Where robots are sent: uniform in polar coordinates around the start, on ground where a target may stand."""
+"""Target sampling: uniform in polar coordinates around the start, on ground that allows a target."""
 
 import math
 from typing import Protocol
@@ -12,16 +12,16 @@ from arrive.terrain.rasters import Rasters
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF
 
 MAX_TRIES = 32
-"""Candidates drawn per target. At least a quarter of them are valid on any tile that `build_tile` lets pass, so that
-all fail with odds of at most 0.75^32, one in ten thousand; a fixed sweep then finds a valid point."""
+"""Candidates drawn per target. `build_tile` accepts only tiles on which at least a quarter of them are valid, so the
+probability that all fail is at most 0.75^32, one in ten thousand. A fixed sweep then finds a valid point."""
 EDGE = 0.5
-"""Targets stay this far from the edge of the tile's raster [m]."""
+"""Targets keep this distance from the edge of the tile's raster [m]."""
 REACH = RASTER_HALF - EDGE
-"""Farther from the tile's origin along an axis there are no targets [m]."""
+"""Largest distance of targets from the tile's origin along an axis [m]."""
 
 
 class Spread(Protocol):
-    """Which targets are drawn; a task's configuration has these fields."""
+    """The fields of a task's configuration that say which targets to draw."""
 
     target_distance: tuple[float, float]
     target_height: float
@@ -39,7 +39,7 @@ def sample_targets(
 
     Args:
         tile_ids: (n,) rasters of the robots' tiles.
-        start_w: (n, 3) where the bases are [m].
+        start_w: (n, 3) positions of the bases [m].
 
     Returns:
         (n, 3) targets, `target_height` above the ground [m].
@@ -56,7 +56,7 @@ def sample_targets(
     if config.crossing_share > 0.0:
         across = torch.rand(shape[:1], generator=generator, device=device) < config.crossing_share
         rank += valid & across[:, None] & look_up(rasters.crossing, tile_ids, candidates)
-    # The first of the best candidates: argmax of a row is its first maximum.
+    # The first of the best candidates, because argmax returns the first maximum of a row.
     chosen = rank.argmax(-1)
     if config.nearest_share > 0.0:
         close = torch.rand(shape[:1], generator=generator, device=device) < config.nearest_share
@@ -71,13 +71,13 @@ def sample_targets(
 
 
 def _on_valid_ground(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
-    """(n, k) bool: a target may stand at (n, k, 2) points; none may beyond the raster or at its edge."""
+    """(n, k) bool: a target is allowed at (n, k, 2) points. None is allowed outside the raster or near its edge."""
     inside = (points.abs() < REACH).all(-1)
     return inside & look_up(rasters.target_valid, tile_ids, points)
 
 
 def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spread) -> Tensor:
-    """(n, 2) the first valid point of a fine polar sweep, for the robots whose draws all failed."""
+    """(n, 2) the first valid point of a fine polar sweep, for robots whose candidates all failed."""
     device = start_w.device
     radius, angle = torch.meshgrid(
         torch.linspace(config.target_distance[1], config.target_distance[0], 41, device=device),
@@ -93,9 +93,9 @@ def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spre
 
 
 def next_valid(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
-    """(n, 2) the points themselves where a target may stand there, or else the next place on their ray from the origin.
+    """(n, 2) the points themselves where a target is allowed, otherwise the next valid point on the origin's ray.
 
-    Places behind a point come first, nearest first, then those before it.
+    Points beyond are tried first, nearest first, then those closer to the origin.
 
     Args:
         tile_ids: (n,) rasters of the robots' tiles.

@@ -1,4 +1,4 @@
-"""What an environment asks of a task; one module per task implements it."""
+"""The interface between environment and tasks. Each task implements it in one module."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
@@ -14,10 +14,10 @@ from arrive.terrain.rasters import Rasters
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """What every task's configuration has; each task adds its own fields, and a table of its rewards."""
+    """The fields of every task's configuration. Each task adds its own fields and its reward table."""
 
     kinds: ClassVar[dict[str, "type[TaskConfig]"]] = {}
-    """The configuration of every task, by the task's name: what `task` of a run may be."""
+    """Configuration classes by task name. `Config.task` is an instance of one of them."""
 
     name: str
     """The task, see `arrive list tasks`."""
@@ -27,13 +27,13 @@ class TaskConfig:
     """The reward terms with their weights and parameters."""
 
     def measured(self) -> Self:
-        """The same for a measurement: every episode has the full length and one command."""
+        """The same for a measurement: every episode has full length and a single command."""
         return self
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where and on what robots start an episode."""
+    """Where robots start an episode, and on which tiles."""
 
     env_ids: Tensor
     """(n,) environments."""
@@ -45,7 +45,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How episodes stand, judged as if they ended now; each (n,) bool."""
+    """Outcome of episodes, as if they ended now; each (n,) bool."""
 
     success: Tensor
     promote: Tensor
@@ -53,53 +53,53 @@ class Outcome:
     demote: Tensor
     """The terrain level goes down."""
     failures: dict[str, Tensor]
-    """By cause; every episode without success has exactly one."""
+    """By cause. Every episode without success has exactly one."""
     remaining: Tensor
-    """(n,) how much of the way is left [m], a number: the distance to the target, or what was not walked."""
+    """(n,) float: the distance left, to the target or to the commanded distance [m]."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """The same errand for every robot, instead of commands that are drawn; each task reads what concerns it."""
+    """The same command for every robot, instead of random commands. Each task reads the fields that it needs."""
 
     duration_s: float
     """Length of every episode [s]."""
     target: tuple[float, float] | Tensor
-    """Where robots that are sent to places must be at the end, in the tile's frame; (num_envs, 2) for a place each.
-    Where no target may stand it is the next place straight behind it, seen from the start [m]."""
+    """Position tasks: the target in the tile's frame, or (num_envs, 2) with one target per robot [m]. If no target is
+    allowed there, the next valid point farther from the start, on the same line, is used."""
     speed: float
-    """Forward speed at which robots that follow a velocity are sent along the tile's x axis [m/s]."""
+    """Velocity task: commanded forward speed along the tile's x axis [m/s]."""
     walk: float
-    """How far along the x axis these must get [m]."""
+    """Velocity task: distance along the x axis that counts as success [m]."""
     wait_s: float = 0.0
-    """How long robots that are sent to places must then stay there; it makes the episode longer [s]."""
+    """Position tasks: how long the robot must then stay at the target; this lengthens the episode [s]."""
     hold_s: float = 0.0
-    """Remaining time that they are told meanwhile, which does not run [s]."""
+    """Position tasks: time left that the robot observes while it stays, held constant [s]."""
 
 
 @dataclass(frozen=True)
 class Cruise:
-    """A constant command for every robot that never ends, instead of commands that are drawn; each task reads its own.
+    """A constant command per robot that never ends, instead of random commands. Each task reads the fields it needs.
 
-    Robots that are sent to places follow a target that keeps its distance, with a remaining time that does not run (the
+    In position tasks the target moves with the robot at a constant offset, and the time left stays constant (the
     paper's pseudo velocity control, section Energy Consumption).
     """
 
     duration_s: float
-    """Longest walk that is looked at; the task itself ends none [s]."""
+    """Longest walk that is evaluated; the task itself never ends the episode [s]."""
     offset_w: Tensor
-    """(num_envs, 2) where the target stays, seen from the robot, along the world's axes [m]."""
+    """(num_envs, 2) position tasks: target relative to the robot, along the world's axes [m]."""
     time_left_s: Tensor
-    """(num_envs,) remaining time that robots are told [s]."""
+    """(num_envs,) position tasks: time left that the robots observe [s]."""
     speed: Tensor
-    """(num_envs,) forward speed of robots that follow a velocity [m/s]."""
+    """(num_envs,) velocity task: forward speed [m/s]."""
     heading: Tensor
-    """(num_envs,) heading of these, in the world frame [rad]."""
+    """(num_envs,) velocity task: heading in the world frame [rad]."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Where a task takes place."""
+    """What the environment gives to a task."""
 
     num_envs: int
     control_dt: float
@@ -109,21 +109,21 @@ class Setting:
 
 
 class Task(Protocol):
-    """Commands, their observation, the rewards on offer, and what counts as success."""
+    """Commands, their observation, the available rewards, and the criterion for success."""
 
     Config: ClassVar[type[TaskConfig]]
     sides: ClassVar[tuple[tuple[str, int], tuple[str, int]]]
-    """Term and entry of the observation that are positive where the command leads forwards, and to the left."""
+    """Observation entries (term, index) that are positive when the command points forward, and to the left."""
     bootstraps: ClassVar[bool]
-    """Whether the value at a time-out is bootstrapped as if the episode went on: where the time is not observed. The
-    paper argues against it where it is."""
+    """Whether to bootstrap the value at a time-out. True for tasks that do not observe the time left. The paper argues
+    against bootstrapping where the time is observed."""
 
     def __init__(self, config: Any, setting: Setting, trial: Trial | Cruise | None = None) -> None:
-        """Build the task with no commands yet; a trial or a constant command replaces those that are drawn."""
+        """Build the task with no commands yet. A trial or a cruise replaces random commands."""
 
     @staticmethod
     def from_preset(config: TaskConfig) -> TaskConfig:
-        """This task's configuration in a preset that is made for another task."""
+        """This task's configuration, derived from that of a preset made for another task."""
 
     @property
     def episode_s(self) -> float:
@@ -134,37 +134,37 @@ class Task(Protocol):
         """The policy's observation."""
 
     def new_command(self, start: Start, first: bool) -> None:
-        """Give starting robots a command; `first` spreads the phases of a run's first episodes."""
+        """Give commands to robots that start an episode; `first` spreads the ends of a run's first episodes."""
 
     def follow(self, state: State) -> None:
-        """Take in where the robots are after a step, for what a task remembers of them."""
+        """Update what the task remembers of the robots, after a step."""
 
     def advance(self, dt: float) -> Tensor:
-        """Let time pass; (num_envs,) bool: the episode's time is over."""
+        """Advance the time by `dt` [s]. Returns (num_envs,) bool: the episode's time is up."""
 
     @property
     def command(self) -> Any:
-        """The present commands, as the task's observations and rewards read them."""
+        """The current commands, in the form that the task's observations and rewards use."""
 
     @property
     def destination_w(self) -> Tensor:
-        """(num_envs, 3) where the commands lead [m], to be drawn in pictures."""
+        """(num_envs, 3) where the commands lead [m], for pictures."""
 
     def task_share(self, state: State, failed: Tensor) -> tuple[Tensor, Tensor]:
-        """The task reward over its maximum, and how many samples inside the reward window that stands for.
+        """The task reward over its maximum, and how many samples of the reward window each share stands for.
 
         Args:
-            failed: (num_envs,) bool: the episode ends here before its time; what it misses of the window counts as 0.
+            failed: (num_envs,) bool: the episode fails now. The part of the window that it misses enters as 0.
 
         Returns:
-            (num_envs,) share and (num_envs,) number of samples, 0 where nothing is being paid.
+            (num_envs,) share and (num_envs,) number of samples, 0 outside the reward window.
         """
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
-        """How every episode stands."""
+        """The outcome of every episode if it ended now."""
 
     def state_dict(self) -> dict[str, Tensor]:
-        """The commands and what the task remembers, to go on exactly."""
+        """The commands and what the task remembers, for an exact resume."""
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on exactly."""
+        """Resume exactly."""

@@ -1,4 +1,4 @@
-"""Which episodes end, and which of them count."""
+"""Terminations: which episodes end, and which of them count."""
 
 from dataclasses import dataclass
 
@@ -10,29 +10,29 @@ from arrive.task.state import State
 
 @dataclass(frozen=True)
 class Endings:
-    """How a step left every episode; each (num_envs,) bool."""
+    """Which episodes ended in a step, and why; each (num_envs,) bool."""
 
     crashed: Tensor
-    """Something touched that must not, or the simulation diverged."""
+    """A body touched something that must not, or the simulation diverged."""
     fell: Tensor
     """The base fell into a hole."""
     failed: Tensor
-    """One of the two: the episode ends before its time."""
+    """Crashed or fell: the episode ends early."""
     timed_out: Tensor
-    """The time is over, and the robot did not fail."""
+    """The time is up and the robot did not fail."""
     ended: Tensor
-    """The episode is over, of robots that are still simulated."""
+    """The episode is over and the robot is still simulated."""
     counted: Tensor
-    """Its outcome would count: not for the shortened episodes with which a run begins, those that review an easier
-    level, and diverged simulations."""
+    """The outcome counts for success rate and curriculum. Excluded are a run's shortened first episodes, episodes on an
+    easier level than the robot's own, and diverged simulations."""
 
 
 def end_episodes(state: State, memory: Memory, time_over: Tensor, own_level: Tensor) -> Endings:
-    """Decide which episodes end (paper, section Episode Process: at a crash, in a hole, and when the time is over).
+    """Find the episodes that end: at a crash, in a hole, or when the time is up (paper, section Episode Process).
 
     Args:
-        time_over: (num_envs,) bool: the task's time is over.
-        own_level: (num_envs,) level of each robot by the curriculum; on a lower one it reviews.
+        time_over: (num_envs,) bool: the task's time is up.
+        own_level: (num_envs,) level of each robot in the curriculum. Episodes on a lower level do not count.
     """
     fell = state.base_pos_w[:, 2] < state.fall_height
     crashed = (state.crash_contacts > 0) | ~state.finite

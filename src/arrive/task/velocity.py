@@ -2,7 +2,7 @@
 
 Commands, rewards, episode and curriculum are those of Rudin et al. 2021 ("Learning to walk in minutes") in its
 published code, legged_gym, without sideways commands, as in the paper's section Simulation Experiments. The costs of
-motion and their weights are the preset's, the same as for the tasks that send robots to places.
+motion and their weights come from the preset, as for the position tasks.
 """
 
 import math
@@ -23,9 +23,10 @@ from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
 from arrive.terrain.tile import RASTER_HALF
 
 WALK_TO_RISE = 4.0
-"""Who ends farther than this from the start goes up a level: half of legged_gym's tile of 8 m [m]."""
+"""A robot that ends farther than this from its start goes up a level: half of legged_gym's 8 m tile [m]."""
 TILE_END = RASTER_HALF - 1.0
-"""Beyond this along an axis the episode is over as if time had run out: legged_gym's tiles join, these end [m]."""
+"""A robot farther than this from the origin along an axis gets a time-out, because a tile ends here; legged_gym's tiles
+join [m]."""
 PROPORTIONS = {
     "track_speed": 1.0,
     "track_yaw_rate": 0.5,
@@ -33,12 +34,12 @@ PROPORTIONS = {
     "vertical_speed_cost": -2.0,
     "roll_pitch_rate_cost": -0.05,
 }
-"""legged_gym's weights of the terms that belong to tracking; `from_preset` scales them together."""
+"""legged_gym's weights of the tracking terms. `from_preset` scales them by a common factor."""
 
 
 @dataclass
 class VelocityCommand:
-    """How fast to walk and which way to face."""
+    """A forward speed and a heading."""
 
     speed: Tensor
     """(n,) along the base's x axis, negative backwards [m/s]."""
@@ -47,9 +48,9 @@ class VelocityCommand:
     time_left_s: Tensor
     """(n,) until the episode ends [s]."""
     age_s: Tensor
-    """(n,) since this command was given [s]."""
+    """(n,) time since this command was given [s]."""
     start_w: Tensor
-    """(n, 3) where the episode began [m]."""
+    """(n, 3) start of the episode [m]."""
     farthest_x: Tensor
     """(n,) largest progress along the world's x axis in this episode [m]."""
     outside: Tensor
@@ -64,7 +65,7 @@ def yaw_rate(state: State, command: VelocityCommand, heading_gain: float, max_ya
 
 
 def track_speed(state: State, command: VelocityCommand, *, width: float) -> Tensor:
-    """exp(-|v - v*|^2 / width) of the horizontal velocity in the base frame; v* has no sideways part, (n,) in 0..1."""
+    """exp(-|v - v*|^2 / width), v horizontal velocity in the base frame, v* without sideways part, (n,) in 0..1."""
     error = (state.base_lin_vel_b[:, 0] - command.speed).square() + state.base_lin_vel_b[:, 1].square()
     return torch.exp(-error / width)
 
@@ -72,15 +73,15 @@ def track_speed(state: State, command: VelocityCommand, *, width: float) -> Tens
 def track_yaw_rate(
     state: State, command: VelocityCommand, *, width: float, heading_gain: float, max_yaw_rate: float
 ) -> Tensor:
-    """exp(-(w - w*)^2 / width) of the yaw rate, (n,) in 0..1."""
+    """exp(-(w - w*)^2 / width), w the yaw rate, (n,) in 0..1."""
     wanted = yaw_rate(state, command, heading_gain, max_yaw_rate)
     return torch.exp(-(state.base_ang_vel_b[:, 2] - wanted).square() / width)
 
 
 def air_time(state: State, command: VelocityCommand, *, least_s: float) -> Tensor:
-    """Sum over the feet that have just landed of their time in the air minus `least_s`, 0 if told to stand, (n,) [s].
+    """Sum of air time minus `least_s` over the feet that have just landed, 0 if commanded to stand, (n,) [s].
 
-    As in legged_gym it is an event, yet multiplied by the time step like a rate.
+    As in legged_gym, it is paid at an event and still multiplied by the time step, like a rate.
     """
     landed = state.foot_landed_s
     return ((landed - least_s) * (landed > 0)).sum(-1) * (command.speed.abs() > 0.1)
@@ -101,7 +102,7 @@ class Tracking(Reward):
     """The rewards `track_speed` and `track_yaw_rate`."""
 
     width: Positive = 0.25
-    """It is exp(-error^2 / this), the error in m/s or rad/s."""
+    """The reward is exp(-error^2 / width), with the error in m/s or rad/s."""
 
 
 @dataclass(frozen=True)
@@ -109,12 +110,12 @@ class AirTime(Reward):
     """The reward `air_time`."""
 
     least_s: NotNegative = 0.5
-    """How long a foot should be in the air in one step (legged_gym) [s]."""
+    """Shortest air time that earns something (legged_gym) [s]."""
 
 
 @dataclass(frozen=True)
 class VelocityRewards:
-    """Terms of velocity tracking."""
+    """Reward terms of velocity tracking."""
 
     track_speed: Tracking = term(track_speed, Tracking())
     track_yaw_rate: Tracking = term(track_yaw_rate, Tracking())
@@ -139,20 +140,20 @@ class VelocityConfig(TaskConfig):
     episode_s: Positive = 20.0
     """Length of an episode [s]."""
     command_s: Positive = 10.0
-    """A command holds this long [s]."""
+    """Time after which a new command is drawn [s]."""
     max_speed: NotNegative = 1.0
-    """Forward speeds are uniform between minus and plus this [m/s]."""
+    """Forward speeds are drawn uniformly between minus and plus this [m/s]."""
     least_speed: NotNegative = 0.2
-    """Slower commands become standing still [m/s]."""
+    """Commands slower than this are set to 0 [m/s]."""
     max_yaw_rate: NotNegative = 1.0
-    """Yaw rates are cut at this [rad/s]."""
+    """Yaw rates are clamped to this [rad/s]."""
     heading_gain: NotNegative = 0.5
-    """Yaw rate asked for per heading error [1/s]."""
+    """Commanded yaw rate per heading error [1/s]."""
     rewards: VelocityRewards = VelocityRewards()
 
 
 class VelocityTask:
-    """Forward speed and heading to follow, for as long as the episode lasts."""
+    """Forward speed and heading to follow until the episode ends."""
 
     Config = VelocityConfig
     sides = (("speed_command", 0), ("yaw_rate_command", 0))
@@ -175,10 +176,10 @@ class VelocityTask:
 
     @staticmethod
     def from_preset(config: TaskConfig) -> TaskConfig:
-        """The preset's costs of motion, and tracking instead of targets.
+        """The preset's costs of motion, with tracking rewards in place of position rewards.
 
-        Perfect tracking of speed and heading earns per second what the preset's task reward earns on average over an
-        episode, weight / T; the other tracking terms keep legged_gym's proportion to it.
+        Perfect tracking of speed and heading earns per second the average of the preset's task reward over an episode,
+        weight / T. The other tracking terms keep legged_gym's proportions.
         """
         if isinstance(config, VelocityConfig):
             return config
@@ -199,7 +200,7 @@ class VelocityTask:
 
     @property
     def destination_w(self) -> Tensor:
-        """Where walking as told for the rest of the episode, or of the trial, leads."""
+        """Start of the episode plus commanded velocity times time left, or plus the trial's distance."""
         command = self._command
         way = command.speed * command.time_left_s
         if isinstance(self._trial, Trial):
@@ -226,12 +227,12 @@ class VelocityTask:
             getattr(command, name)[ids] = 0
         command.time_left_s[ids] = self.episode_s
         if first:
-            # Robots that all began together would end together.
+            # Spreads the ends of the first episodes.
             command.time_left_s[ids] *= self._uniform(len(ids))
         self._draw(ids)
 
     def _draw(self, ids: Tensor) -> None:
-        """New speeds and headings, or the trial's."""
+        """Draw new speeds and headings, or take the trial's."""
         command = self._command
         command.age_s[ids] = 0.0
         if isinstance(self._trial, Cruise):
@@ -266,9 +267,9 @@ class VelocityTask:
         return (command.time_left_s < dt / 2) | command.outside
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
-        """Levels follow the distance walked (legged_gym); success is half of the commanded distance without a crash.
+        """Levels follow the distance walked (legged_gym). Success is half of the commanded distance without a crash.
 
-        In a trial success is having got as far along the x axis as asked, even if the robot crashed afterwards.
+        In a trial, success is reaching the required distance along the x axis, even if the robot crashes afterwards.
         """
         walked = (state.base_pos_w - self._command.start_w)[:, :2].norm(dim=-1)
         commanded = self._command.speed.abs() * self._config.episode_s
