@@ -1,4 +1,4 @@
-"""The terrain families; a new one is one module and one line in `FAMILIES`."""
+"""The terrain families. A new one needs one module and one line in `FAMILIES`."""
 
 import numpy as np
 
@@ -36,10 +36,10 @@ __all__ = ["FAMILIES", "Family", "Layout", "Tile", "build_tile", "get_family", "
 
 
 def register_terrain(family: Family) -> None:
-    """Add a terrain family of one's own, which can then be trained on by its name; see docs/extend.md.
+    """Add your own terrain family, so that commands accept its name; see docs/extend.md.
 
     Raises:
-        ArriveError: the name is taken, or a tile is not what `build_tile` asks for.
+        ArriveError: the name is taken, or one of its tiles fails the checks of `build_tile`.
     """
     for layout in ("training", "evaluation"):
         for value in {family.lowest, family.highest}:
@@ -48,7 +48,7 @@ def register_terrain(family: Family) -> None:
 
 
 def get_family(name: str) -> Family:
-    """The family of this name; an unknown name raises an error that lists the valid ones."""
+    """The family of this name. An unknown name raises an error that lists the valid ones."""
     return get("terrain", FAMILIES, name)
 
 

@@ -1,4 +1,4 @@
-"""Tiles that are checked where they are built, so that no broken one reaches the training loop."""
+"""Builds tiles and checks them, so that no broken tile reaches the training loop."""
 
 import numpy as np
 
@@ -8,20 +8,20 @@ from arrive.terrain.rasterise import DEEP_FLOOR, cell_grid
 from arrive.terrain.tile import MAX_GEOMS, START_RADIUS, Tile, cell_index
 
 TARGET_RADIUS = (1.0, 5.0)
-"""Training targets are uniform in this radius [m] and in angle (paper, section Episode Process)."""
+"""Range of distances for which targets are checked [m] (paper, section Episode Process)."""
 EVALUATION_TARGET = (5.0, 0.0)
 """Target of the evaluation layout [m] (paper, section Maximum Terrain Difficulty)."""
 MIN_VALID_SHARE = 0.25
-"""Least share of the training targets that must be valid, or re-sampling gets slow."""
+"""Smallest share of the training targets that must be valid. With fewer, sampling gets slow."""
 MIN_CROSSING_SHARE = 0.05
-"""Least share that must be valid and count as crossing, or the curriculum gets no evidence."""
+"""Smallest share that must be valid and beyond the terrain. With fewer, too few episodes change the level."""
 
 
 def build_tile(family: Family, value: float, rng: np.random.Generator, layout: Layout, size: float = 1.0) -> Tile:
     """Build a tile of the family and check it.
 
     Args:
-        size: of the robot that is to stand there, see `Robot.size`.
+        size: size of the robot, see `Robot.size`.
 
     Raises:
         ArriveError: too many geoms, cells without ground, a start that is not level at height zero, or too few valid
@@ -39,7 +39,7 @@ def _ground_problem(tile: Tile, size: float) -> str:
     """What is wrong with the shapes, or an empty string."""
     num_geoms = len(tile.boxes) + (tile.height_field is not None)
     if num_geoms > MAX_GEOMS:
-        return f"it has {num_geoms} geoms, at most {MAX_GEOMS} fit"
+        return f"it has {num_geoms} geoms; at most {MAX_GEOMS} are allowed"
     if not (tile.heights > DEEP_FLOOR).all():
         return f"{(tile.heights <= DEEP_FLOOR).sum()} cells of the raster have no ground"
     x, y = cell_grid()
@@ -54,11 +54,11 @@ def _target_problem(tile: Tile, layout: Layout) -> str:
     counting = tile.target_valid & tile.crossing
     if layout == "evaluation":
         i, j = (cell_index(np.array(coordinate)) for coordinate in EVALUATION_TARGET)
-        return "" if counting[i, j] else f"the target {EVALUATION_TARGET} is not valid or crosses nothing"
+        return "" if counting[i, j] else f"the target {EVALUATION_TARGET} is not valid or not beyond the terrain"
     if (share := target_share(tile.target_valid)) < MIN_VALID_SHARE:
-        return f"{share:.1%} of the targets are valid, at least {MIN_VALID_SHARE:.0%} must be"
+        return f"{share:.1%} of the targets are valid; at least {MIN_VALID_SHARE:.0%} must be"
     if (share := target_share(counting)) < MIN_CROSSING_SHARE:
-        return f"{share:.1%} of the targets are valid and cross it, at least {MIN_CROSSING_SHARE:.0%} must be"
+        return f"{share:.1%} of the targets are valid and beyond it; at least {MIN_CROSSING_SHARE:.0%} must be"
     return ""
 
 

@@ -14,8 +14,8 @@ Layout = Literal["training", "evaluation"]
 5 m in front (paper, section Maximum Terrain Difficulty)."""
 
 TileBuilder = Callable[[float, np.random.Generator, Layout, float], Tile]
-"""Of the parameter's value, a generator, the layout, and the size of the robot that is to stand there, 1 for ANYmal C:
-what must have room for the robot scales with it, and what is hard to cross does not."""
+"""Builds a tile from the parameter's value, a random generator, the layout, and the robot's size (1 for ANYmal C).
+Lengths that give the robot room scale with its size. The parameter that makes the terrain hard does not."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Family:
     """Parameter at the last level."""
     build: TileBuilder
     random: bool
-    """Whether two tiles of the same parameter differ (so that several per level are worth building)."""
+    """Whether two tiles of the same parameter differ, so that several per level are worth building."""
 
     def value(self, level: int, num_levels: int) -> float:
         """Parameter at a level: linear from `lowest` at level 0 to `highest` at the last level."""

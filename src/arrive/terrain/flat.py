@@ -8,11 +8,11 @@ from arrive.terrain.shapes import LIGHT, square
 from arrive.terrain.tile import Tile
 
 REACH = 250.0
-"""Half the edge of the ground [m]: robots walk 100 m on it; beyond the raster its edge, of height zero, counts."""
+"""Half the edge of the ground [m]. Robots walk 100 m on it. Outside the raster, heights are zero like its edge."""
 
 
 def build(value: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
-    """One slab; every target is valid and, since there is nothing to cross, counts as crossing."""
+    """One slab. Every target is valid and, since there is nothing to cross, counts for the curriculum."""
     return assemble([square(REACH, 0.0)], palette=[LIGHT])
 
 

@@ -9,34 +9,34 @@ from arrive.terrain.rasterise import assemble, beyond_x, dilate, inside_square
 from arrive.terrain.shapes import ABYSS, GROUND_HALF, LIGHT, START, WHOLE, block, frame, square
 from arrive.terrain.tile import Tile
 
-# Lengths that must have room for the robot are those for ANYmal C.
+# Lengths that give the robot room are for ANYmal C and scale with the robot's size.
 PLATFORM_HALF = 1.2
 """Half the edge of the platform that the first ring gap surrounds in training [m]."""
 PLATEAU = 1.3
-"""Ground between ring gaps [m]: a 1.1 m long robot can stand on it."""
+"""Width of the ground between ring gaps [m]: a 1.1 m long robot can stand on it."""
 LAST_EDGE = 3.8
-"""Further rings end here at the latest [m], so that most targets lie beyond all of them."""
+"""Largest outer edge of any further ring [m], so that most targets lie beyond all rings."""
 EVALUATION_GAP_X = 1.5
 """x of the gap's near edge in the evaluation layout [m]."""
 DEPTH = 2.0
-"""Depth of a gap [m]: nothing can be stepped into."""
+"""Depth of a gap [m]: too deep to step into."""
 NARROWEST = 0.02
 """Width of the first training level's gap [m]."""
 SHALLOWEST, DEPTH_PER_WIDTH = 0.03, 4.0
-"""Depth of that gap [m], and how much deeper training's gaps are per metre that they are wider, up to `DEPTH`: one of
-0.12 m is 0.43 m deep, deeper than any policy can tell. Robots learn nothing from falling into a deep one; a foot that
-sinks into a groove tells them."""
+"""Depth of the first training level's gap [m], and increase in depth per metre of width, up to `DEPTH`. A gap of 0.12 m
+is 0.43 m deep, which already looks bottomless with the clipped heights of `robust`. Robots learn nothing from falling
+into a deep gap, but a foot that sinks into a groove gives them a signal."""
 FALL_HEIGHT = -0.5
-"""A base this far below the edges cannot come back [m]."""
+"""A base below this height cannot climb out [m]."""
 EDGE_MARGIN = 0.35
-"""Targets nearer to a gap than this are invalid [m]: a robot standing there would have feet over the hole."""
+"""Targets closer to a gap than this are invalid [m]: a robot standing there would have feet over the hole."""
 
 
 def build(width: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
-    """Gaps around the platform (training) or one across the way (evaluation); crossing means being beyond the first.
+    """Ring gaps around the platform (training), or one straight gap ahead (evaluation).
 
-    Crossing takes half a second of an episode: where a second ring fits, training sees twice as much of it. Training's
-    narrow gaps are shallow too.
+    Targets beyond the first gap count for the curriculum. A second ring is added where it fits: crossing takes only
+    half a second of an episode, so this doubles what training sees of it. Narrow training gaps are also shallow.
     """
     depth = min(DEPTH, SHALLOWEST + DEPTH_PER_WIDTH * (width - NARROWEST)) if layout == "training" else DEPTH
     bottom = square(GROUND_HALF, -depth)
@@ -60,7 +60,7 @@ def build(width: float, rng: np.random.Generator, layout: Layout, size: float) -
 
 
 def _ring_edges(width: float, platform: float, plateau: float) -> list[float]:
-    """Distances of the near and far edges of the training layout's gaps from its middle, nearest first [m]."""
+    """Distances from the centre to the near and far edges of the training layout's gaps, nearest first [m]."""
     edges = [platform, platform + width]
     while (near := edges[-1] + plateau) + width <= LAST_EDGE:
         edges += [near, near + width]

@@ -1,4 +1,4 @@
-"""Which ground a simulated robot stands on: a terrain family at one value of its parameter."""
+"""The ground of a single simulated robot: a terrain family at one value of its parameter."""
 
 import math
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Ground:
         return f"{family.description}, {family.parameter} {self.amount}" if self.amount else family.description
 
     def build(self, seed: int = 1, size: float = 1.0) -> Tile:
-        """The tile for a robot of this size; `seed` decides terrain that is random."""
+        """The tile for a robot of this size. `seed` is used by families with random terrain."""
         return build_tile(self.family, self.value, np.random.default_rng(seed), self.layout, size)
 
 
@@ -40,12 +40,12 @@ def varies(family: Family) -> bool:
 
 
 def ground_of(terrain: str, level: int | None = None, levels: int = 10, layout: Layout = "training") -> Ground:
-    """The ground that a person names on the command line.
+    """The ground named on the command line.
 
     Args:
         terrain: a family's name, or NAME=VALUE with the value in the family's unit.
-        level: one of the policy's own levels, as in `arrive eval`; 0 where neither it nor a value is given.
-        levels: how many levels the policy was trained with.
+        level: one of the policy's own levels, as in `arrive eval`. Without a level or a value, level 0.
+        levels: number of levels the policy was trained with.
 
     Raises:
         ArriveError: no such family or level, a value outside the family's range, or both a level and a value.
@@ -63,7 +63,7 @@ def checked_value(family: Family, text: str | float) -> float:
     """A value of a family's parameter.
 
     Raises:
-        ArriveError: no number within the family's range.
+        ArriveError: not a number, or outside the family's range.
     """
     if not varies(family):
         raise ArriveError(f"{family.name} has no parameter: write --terrain {family.name}")
@@ -71,7 +71,7 @@ def checked_value(family: Family, text: str | float) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    # A hundredth of tolerance, so that a value that was printed can be typed.
+    # 1 % tolerance, so that a value that was printed rounded can be typed in again.
     slack = 0.01 * (family.highest - family.lowest)
     if not family.lowest - slack <= value <= family.highest + slack:
         raise ArriveError(

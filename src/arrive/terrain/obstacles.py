@@ -14,41 +14,41 @@ HEIGHT = 1.2
 NARROWEST, WIDEST = 0.2, 1.1
 """Sides of the pillars [m]."""
 LOWEST_HEIGHT, FULL_HEIGHT_FROM = 0.02, 0.5
-"""Height of training's first pillars [m], and the largest side at which they have all of `HEIGHT` [m]."""
+"""Height of the pillars on the first training level [m], and the side from which they are `HEIGHT` tall [m]."""
 FEWEST = 20
-"""Pillars of training's first level."""
-# Room for the robot is that for ANYmal C.
+"""Number of pillars on the first training level."""
+# Lengths that give the robot room are for ANYmal C and scale with the robot's size.
 PASSAGE = 1.0
-"""Least free distance between two pillars [m]; a robot 0.6 m wide passes, so every target can be reached."""
+"""Smallest distance between two pillars [m]. A robot 0.6 m wide fits through, so every target can be reached."""
 CLEAR_RADIUS = 1.2
-"""No pillar is nearer to the start than this [m]."""
+"""Smallest distance of a pillar from the start [m]."""
 STANDING_RADIUS = 0.5
-"""Targets nearer to a pillar than this are invalid [m], so that a robot has room to stand there."""
+"""Targets closer to a pillar than this are invalid [m], so that the robot has room to stand there."""
 MAX_PILLARS = 34
-"""Pillars of a tile where that many find room."""
+"""Largest number of pillars on a tile, if that many fit."""
 MAX_DARTS = 400
-"""Places tried for a pillar; the widest ones find room for about a third of `MAX_PILLARS`."""
+"""Number of random positions tried. Of the widest pillars, about a third of `MAX_PILLARS` fit."""
 ROBOT_HALF_WIDTH = 0.3
-"""A robot on a straight way touches the pillars that are nearer to it than this [m]."""
+"""A robot walking straight touches pillars closer to its path than this [m]."""
 SHADOW_ANGLES = 720
-"""Directions from the start in which pillars are looked for: at most 5 cm apart within the targets' distance."""
+"""Number of directions from the start in which pillars are searched: at most 5 cm apart at the targets' distance."""
 TRAINING_HALF = 4.5
-"""Pillars have their centres in the square of this half edge in training [m], small enough that `MAX_PILLARS` narrow
-ones stand nearly as close together as in evaluation."""
+"""Half the edge of the square that contains the pillars' centres in training [m]. It is small enough that `MAX_PILLARS`
+narrow pillars stand nearly as close together as in evaluation."""
 EVALUATION_X = (1.2, 4.4)
-"""The pillars of the evaluation layout lie in this range of x [m], which leaves room around the start and target."""
+"""Range of x of the pillars in the evaluation layout [m], which leaves room around start and target."""
 EVALUATION_HALF_Y = 6.0
-"""Their centres lie within this of the straight line [m]: too far for a way around all of them."""
+"""Largest distance of their centres from the straight line [m]: too far to walk around all of them."""
 
 
 def build(side: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
-    """Square pillars at random places with passages between; in evaluation the first one blocks the straight line.
+    """Square pillars at random positions with passages between. In evaluation, the first one blocks the straight line.
 
-    In training `side` is that of the widest pillars; the others are narrower, because narrow and wide ones ask for
-    different ways. The first levels have few pillars and low ones, which a robot may step on.
+    In training, `side` is that of the widest pillars. The others are narrower, because narrow and wide pillars need
+    different detours. The first levels have few, low pillars, which a robot may step on.
 
-    Targets are invalid on and near pillars. Those to which no straight way leads from the start count as crossing: who
-    walks to another one has walked around nothing.
+    Targets on and near pillars are invalid. Only targets that a straight walk from the start cannot reach count for the
+    curriculum.
     """
     if layout == "training":
         low, high = np.full(2, -TRAINING_HALF), np.full(2, TRAINING_HALF)
@@ -72,7 +72,7 @@ def build(side: float, rng: np.random.Generator, layout: Layout, size: float) ->
 
 
 def _grown(side: float) -> tuple[float, int]:
-    """Height [m] and largest number of training's pillars at a level whose widest have this side."""
+    """Height [m] and largest number of pillars on a training level whose widest pillars have this side."""
     share = min(1.0, (side - NARROWEST) / (FULL_HEIGHT_FROM - NARROWEST))
     return LOWEST_HEIGHT + share * (HEIGHT - LOWEST_HEIGHT), round(FEWEST + share * (MAX_PILLARS - FEWEST))
 
@@ -83,10 +83,10 @@ def _throw_darts(
     """(pillars, 2) centres and (pillars,) sides [m]: `first`, then darts that keep clear of the start and each other.
 
     Args:
-        darts: (n, 2) places to try [m].
-        sides: (n,) of the pillars there [m]; `first` has those of the first darts.
-        most: stop at this many pillars.
-        size: of the robot.
+        darts: (n, 2) positions to try [m].
+        sides: (n,) side of the pillar at each of them [m]; `first` uses the first entries too.
+        most: largest number of pillars.
+        size: size of the robot.
     """
     passage, clear = PASSAGE * size, CLEAR_RADIUS * size
     centers, kept = list(first), list(sides[: len(first)])
@@ -102,9 +102,9 @@ def _throw_darts(
 
 
 def _distance(offset: np.ndarray, half: float) -> float:
-    """Distance [m] from a point to a square of this half edge that is `offset` away.
+    """Distance [m] from a point to a square with this half edge whose centre is at `offset`.
 
-    With the whole side as half edge it is the distance between two squares.
+    If `half` is the sum of two squares' half edges, it is the distance between the squares.
     """
     return float(np.linalg.norm(np.maximum(np.abs(offset) - half, 0.0)))
 
@@ -120,7 +120,7 @@ def _covered(centers: np.ndarray, halves: np.ndarray) -> np.ndarray:
 
 
 def _hidden(centers: np.ndarray, halves: np.ndarray) -> np.ndarray:
-    """Cells that the straight way from the origin reaches only through a square of one of these half edges."""
+    """Cells that a straight line from the origin reaches only through a square with one of these half edges."""
     angles = np.linspace(-np.pi, np.pi, SHADOW_ANGLES, endpoint=False)
     direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
     direction = np.where(np.abs(direction) < 1e-9, 1e-9, direction)

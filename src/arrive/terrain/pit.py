@@ -7,17 +7,17 @@ from arrive.terrain.rasterise import assemble, beyond_x, dilate, inside_square
 from arrive.terrain.shapes import EARTH, GROUND_HALF, START, WHOLE, block, frame, square
 from arrive.terrain.tile import Tile
 
-# Lengths are those for ANYmal C.
+# Lengths are for ANYmal C and scale with the robot's size.
 FLOOR_HALF = 1.5
 """Half the edge of the square floor in training [m]: a 1.1 m long robot can turn on it."""
 EVALUATION_WALL_X = 2.0
 """x of the wall in the evaluation layout [m], across the whole width."""
 EDGE_MARGIN = 0.35
-"""Targets nearer to the wall than this, above or below, are invalid [m]: the robot cannot stand astride it."""
+"""Targets closer to the wall than this, above or below it, are invalid [m]: the robot cannot stand astride it."""
 
 
 def build(depth: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
-    """A floor and higher ground around (training) or ahead (evaluation); crossing means standing up there."""
+    """A floor with higher ground around it (training) or ahead (evaluation); targets there count for the curriculum."""
     if layout == "training":
         half = FLOOR_HALF * size
         boxes = [square(half, 0.0), *frame(half, GROUND_HALF, depth)]

@@ -19,7 +19,7 @@ def assemble(
     fall_height: float = -np.inf,
     parted: bool = True,
 ) -> Tile:
-    """A tile of these shapes with its height raster; a mask that is not given is true everywhere."""
+    """A tile of these shapes with its height raster. A mask that is None is true everywhere."""
     everywhere = np.ones((RASTER_SIZE, RASTER_SIZE), dtype=bool)
     return Tile(
         boxes=tuple(boxes),
@@ -103,13 +103,13 @@ def height_field_heights(field: HeightField) -> np.ndarray:
 
 
 def cell_grid() -> tuple[np.ndarray, np.ndarray]:
-    """x (RASTER_SIZE, 1) and y (1, RASTER_SIZE) of the cells' centres [m], to write masks with."""
+    """x (RASTER_SIZE, 1) and y (1, RASTER_SIZE) of the cells' centres [m], for building masks."""
     centers = cell_centers()
     return centers[:, None], centers[None, :]
 
 
 def inside_square(half: float) -> np.ndarray:
-    """Cells within the axis-aligned square of this half edge [m] around the origin."""
+    """Cells within the axis-aligned square with this half edge [m] around the origin."""
     x, y = cell_grid()
     return np.maximum(np.abs(x), np.abs(y)) <= half
 

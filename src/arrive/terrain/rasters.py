@@ -1,4 +1,4 @@
-"""The rasters of many tiles, stacked, so that each robot looks up those of its own."""
+"""The stacked rasters of all tiles, in which each robot looks up its own tile."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,16 +18,16 @@ class Rasters:
     target_valid: Tensor
     crossing: Tensor
     fall_height: Tensor
-    """(num_tiles,) [m]."""
+    """(num_tiles,) see `Tile.fall_height` [m]."""
     parted: Tensor
-    """(num_tiles,) bool."""
+    """(num_tiles,) bool, see `Tile.parted`."""
 
     def to(self, device: torch.device) -> "Rasters":
         """The same on a device."""
         return Rasters(**{name: value.to(device) for name, value in vars(self).items()})
 
     def shared_with(self, tile: Tile, index: int) -> Tile:
-        """The tile of that index with its rasters taken from the stack, so that they are kept once."""
+        """The tile with its rasters replaced by views of the stack, so that they are kept in memory only once."""
         return replace(
             tile,
             heights=self.heights[index].numpy(),

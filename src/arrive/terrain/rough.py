@@ -8,15 +8,15 @@ from arrive.terrain.shapes import EARTH, GROUND_HALF, evaluation_span
 from arrive.terrain.tile import START_RADIUS, HeightField, Tile
 
 GRID = 0.2
-"""Distance of the random heights [m] (legged_gym's `downsampled_scale`); triangles between them."""
+"""Distance between vertices with random heights [m] (legged_gym's `downsampled_scale`). Triangles connect them."""
 LEVEL_MARGIN = 0.3
-"""Vertices this far beyond `START_RADIUS` are still at height zero [m], so that all within that radius is level."""
+"""Vertices up to this far outside `START_RADIUS` have height zero [m], so that everything inside it is level."""
 RAMP = 0.4
-"""After so much more the surface is as rough as anywhere [m]."""
+"""Distance over which the roughness then grows to its full amplitude [m]."""
 
 
 def build(amplitude: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
-    """Vertex heights uniform in [-amplitude, amplitude] [m]; every target is valid and counts as crossing."""
+    """Vertex heights uniform in [-amplitude, amplitude] [m]. All targets are valid and count for the curriculum."""
     vertices = np.linspace(-GROUND_HALF, GROUND_HALF, round(2 * GROUND_HALF / GRID) + 1)
     x, y = vertices[:, None], vertices[None, :]
     heights = rng.uniform(-amplitude, amplitude, (vertices.size, vertices.size))

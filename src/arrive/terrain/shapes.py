@@ -1,18 +1,18 @@
-"""Blocks, frames and ramps that the families build their ground from, and its colours."""
+"""Blocks, frames and ramps from which the families build their ground, and its colours."""
 
 import math
 
 from arrive.terrain.tile import RASTER_HALF, Box
 
 GROUND_HALF = RASTER_HALF + 1.0
-"""Half the edge of the ground [m]: more than the raster covers, so that its outermost cells are not at an edge."""
+"""Half the edge of the ground [m]: larger than the raster, so that the raster's outermost cells are not at an edge."""
 THICKNESS = 1.0
-"""Least thickness of the ground [m]; what sinks in by a few centimetres must not meet the far side."""
+"""Smallest thickness of the ground [m]. Feet that sink in by a few centimetres must not reach the far side."""
 EVALUATION_START = 0.6
 """x at which the terrain of the evaluation layout begins for ANYmal C [m]: just ahead of the front feet of a 1.1 m long
 robot."""
 EVALUATION_LENGTH = 4.0
-"""How much of it the robot crosses (paper, section Maximum Terrain Difficulty) [m]."""
+"""Length of the evaluation terrain (paper, section Maximum Terrain Difficulty) [m]."""
 
 Colour = tuple[float, float, float]
 START: Colour = (0.62, 0.67, 0.62)
@@ -46,7 +46,7 @@ def square(half: float, top: float) -> Box:
 
 
 def frame(inner: float, outer: float, top: float) -> list[Box]:
-    """Four blocks, none overlapping, between two squares around the origin of these half edges [m]."""
+    """Four non-overlapping blocks between two squares around the origin with these half edges [m]."""
     sides = ((-outer, -inner), (inner, outer))
     across = [block(side, (-outer, outer), top) for side in sides]
     return across + [block((-inner, inner), side, top) for side in sides]

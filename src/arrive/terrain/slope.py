@@ -22,15 +22,15 @@ from arrive.terrain.shapes import (
 from arrive.terrain.tile import Tile
 
 PLATFORM_HALF = 1.0
-"""Half the width of the level ground in the middle in training, for ANYmal C [m]."""
+"""Half the width of the level ground in the centre of the training layout, for ANYmal C [m]."""
 
 
 def build(angle_deg: float, rng: np.random.Generator, layout: Layout, size: float, direction: int) -> Tile:
     """Slabs at `angle_deg` [deg] that rise (+1) or fall (-1) from where the robot starts.
 
-    In training four slabs rise around a square platform, or two fall from a level ridge along y: a pyramid that
-    falls in four directions is no union of slabs. In evaluation 4 m (horizontal) of slope lie ahead, then level
-    ground. Every target is valid; crossing means being on the slope or beyond.
+    In training, four slabs rise around a square platform, or two fall from a level ridge along y, because a pyramid
+    that falls in four directions cannot be built from slabs. In evaluation, 4 m (horizontal) of slope lie ahead, then
+    level ground. Every target is valid. Targets on the slope or beyond count for the curriculum.
     """
     angle = direction * math.radians(angle_deg)
     if layout == "evaluation":

@@ -13,18 +13,18 @@ from arrive.terrain.tile import Box, Tile
 TREAD = 0.31
 """Depth of a step [m] (legged_gym's pyramid stairs)."""
 PLATFORM_HALF = 1.0
-"""Half the edge of the square in the middle in training, for ANYmal C [m]."""
+"""Half the edge of the square platform in the centre of the training layout, for ANYmal C [m]."""
 TRAINING_STEPS = 12
-"""Steps around the platform; the last, the landing, begins 4.41 m out for ANYmal C, so that some of the far targets
-lie on it."""
+"""Number of steps around the platform. The last one, the landing, begins at 4.41 m for ANYmal C, so that some of the
+far targets lie on it."""
 EVALUATION_STEPS = 13
-"""Steps of the evaluation layout: 13 treads are 4.03 m."""
+"""Number of steps in the evaluation layout: 13 treads are 4.03 m."""
 
 
 def build(rise: float, rng: np.random.Generator, layout: Layout, size: float, direction: int) -> Tile:
     """Square rings of steps outwards (training) or a flight along +x (evaluation), up (+1) or down (-1).
 
-    Every target is valid; crossing means standing on a step.
+    Every target is valid. Targets on a step count for the curriculum.
     """
     if layout == "training":
         half = PLATFORM_HALF * size
@@ -40,7 +40,7 @@ def build(rise: float, rng: np.random.Generator, layout: Layout, size: float, di
 
 
 def _rings(rise: float, direction: int, half: float) -> list[list[Box]]:
-    """The platform and its rings of steps: frames where they rise, nested squares where they fall."""
+    """The platform and its rings of steps: frames if they rise, nested squares if they fall."""
     edges = [half + k * TREAD for k in range(TRAINING_STEPS)] + [GROUND_HALF]
     if direction < 0:
         return [[square(edge, -k * rise)] for k, edge in enumerate(edges)]
@@ -49,7 +49,7 @@ def _rings(rise: float, direction: int, half: float) -> list[list[Box]]:
 
 
 def _flight(height_per_step: float, start: float) -> list[list[Box]]:
-    """The ground before the flight and its steps; the last is the landing."""
+    """The ground before the flight, and the steps. The last one is the landing."""
     edges = [start + k * TREAD for k in range(EVALUATION_STEPS)]
     intervals = pairwise([-GROUND_HALF, *edges, GROUND_HALF])
     return [[block(interval, WHOLE, k * height_per_step)] for k, interval in enumerate(intervals)]

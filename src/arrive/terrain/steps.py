@@ -22,22 +22,22 @@ Rectangle = tuple[float, float, float, float]
 """x from, x to, y from, y to [m]."""
 
 PLATFORM_HALF = 0.8
-"""Half the edge of the level square in the middle in training, for ANYmal C [m]."""
+"""Half the edge of the level square in the centre of the training layout, for ANYmal C [m]."""
 TRAINING_HALF = 5.6
-"""Half the edge of the square that is cut into steps in training [m]; level ground lies beyond."""
+"""Half the edge of the square that is divided into steps in training [m]. Level ground lies outside."""
 TRAINING_STEPS = 58
-"""Steps around the platform: 2.1 m^2 each on average, as legged_gym's rectangles of 1 to 2 m by 1 to 2 m."""
+"""Steps around the platform: 2.1 m^2 each on average, like legged_gym's rectangles of 1 to 2 m by 1 to 2 m."""
 EVALUATION_STEPS = 31
-"""Steps of the evaluation layout, of the same average size."""
+"""Steps in the evaluation layout, with the same average size."""
 CUT = (0.35, 0.65)
-"""A rectangle is cut across its longer side at a fraction of it drawn from this range."""
+"""Range of the fraction of its longer side at which a rectangle is cut."""
 
 
 def build(height: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
     """Rectangles at heights drawn from {-h, -h/2, 0, h/2, h}, so that neighbours differ by up to 2 h.
 
-    These are legged_gym's heights and, as here the steps leave no ground between them, zero. Every target is valid
-    and counts as crossing, wherever it is.
+    These are legged_gym's heights. Zero is added because here the steps leave no ground between them. All targets are
+    valid and count for the curriculum.
     """
     if layout == "training":
         half = PLATFORM_HALF * size
@@ -54,7 +54,7 @@ def build(height: float, rng: np.random.Generator, layout: Layout, size: float) 
 
 
 def _pinwheel(rng: np.random.Generator, half: float) -> list[Rectangle]:
-    """Four equal rectangles around the platform, turning in a random sense."""
+    """Four equal rectangles around the platform, arranged clockwise or counter-clockwise at random."""
     p, q = half, TRAINING_HALF
     east, north, west, south = (p, q, -p, q), (-q, p, p, q), (-q, -p, -q, p), (-p, q, -q, -p)
     wheel = [east, north, west, south]
@@ -62,7 +62,7 @@ def _pinwheel(rng: np.random.Generator, half: float) -> list[Rectangle]:
 
 
 def partition(rectangles: list[Rectangle], count: int, rng: np.random.Generator) -> list[Rectangle]:
-    """Cut the largest rectangle in two, again and again, until there are `count`."""
+    """Cut the largest rectangle in two until there are `count` rectangles."""
     rectangles = list(rectangles)
     while len(rectangles) < count:
         largest = max(range(len(rectangles)), key=lambda k: _area(rectangles[k]))

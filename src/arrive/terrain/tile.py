@@ -10,7 +10,7 @@ RASTER_HALF = 7.0
 """Half the edge of the square that rasters cover, centred at the tile's origin [m]."""
 RASTER_SIZE = round(2 * RASTER_HALF / RASTER_CELL)
 MAX_GEOMS = 64
-"""Every tile compiles to this many terrain geoms; unused ones are parked far below."""
+"""Number of terrain geoms that every tile compiles to. Unused ones are placed far below the ground."""
 
 START_RADIUS = 0.4
 """The ground is level this far around the start of a robot of ANYmal C's size [m]."""
@@ -47,17 +47,18 @@ class Tile:
     heights: np.ndarray
     """float32 raster: height of the ground at each cell's centre [m]."""
     target_valid: np.ndarray
-    """bool raster: a target may stand here (the paper: not in a hole, not on a high obstacle)."""
+    """bool raster: a target is allowed here (paper: not in a hole and not on a high obstacle)."""
     crossing: np.ndarray
-    """bool raster: reaching this cell from the start means having crossed the terrain; only such targets count
-    for the curriculum."""
+    """bool raster: this cell lies beyond the terrain, as seen from the start. Only targets on such cells count for the
+    curriculum."""
     parted: bool = True
-    """Whether the cells that are not crossing all lie on this side of the terrain."""
+    """Whether the terrain separates the start from all crossing cells, as a gap does and pillars do not. If so, a robot
+    on another cell has not crossed the terrain."""
     height_field: HeightField | None = None
     fall_height: float = -np.inf
-    """A base lower than this has fallen into a hole [m]."""
+    """A base below this height has fallen into a hole [m]."""
     palette: tuple[tuple[float, float, float], ...] = field(default=())
-    """Optional RGB colour per box and then of the height field; grey where absent."""
+    """Optional RGB colour of each box and then of the height field; the rest is grey."""
 
 
 def cell_centers() -> np.ndarray:
