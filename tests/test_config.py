@@ -12,7 +12,7 @@ import pytest
 
 from arrive.config import Config, check, from_dict, override, to_dict
 from arrive.errors import ArriveError
-from arrive.fields import hints_of, is_interval, parted, rows
+from arrive.fields import hints_of, is_interval, rows, split_range
 from arrive.presets import PRESETS, get_preset, robust
 from arrive.recipe import make_config
 from arrive.task.registry import TASKS, get_task
@@ -174,7 +174,7 @@ def fields_of(config, where: str = "") -> Iterator[tuple[str, Any]]:
 
 def outside(hint: Any, rng: random.Random) -> Iterator[Any]:
     """Values from outside the range of a field: NaN, infinities, and numbers beyond each end."""
-    base, limits = parted(hint)
+    base, limits = split_range(hint)
     kind = base if base in (int, float) else get_args(base)[0]
     numbers = [] if kind is int else [math.nan, math.inf, -math.inf]
     away = [rng.uniform(0.1, 10.0), 10.0 ** rng.uniform(-2, 6)]
@@ -220,7 +220,7 @@ def changed(config: Any, path: list[str], value: Any) -> Any:
         ("randomisation.push_interval_s=0", ["randomisation.push_interval_s", "above 0", "not 0.0"]),
         ("randomisation.friction=[-1,0.5]", ["randomisation.friction", "above 0", "[-1.0, 0.5]"]),
         ("randomisation.friction=[1,0.5]", ["randomisation.friction", "the smaller first"]),
-        ("randomisation.payload_kg=[-30,0]", ["randomisation.payload_kg", "nothing is left of the base"]),
+        ("randomisation.payload_kg=[-30,0]", ["randomisation.payload_kg", "the base's own mass"]),
         ("observation.heights.noise=-1", ["observation.heights.noise", "at least 0", "not -1.0"]),
         ("observation.heights.noise=NaN", ["observation.heights.noise", "at least 0", "not nan"]),
         ("task.reward_window_s=10", ["task.reward_window_s", "at most task.episode_min_s, 5", "not 10.0"]),

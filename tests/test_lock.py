@@ -64,7 +64,7 @@ def test_a_number_that_another_process_has_now_does_not_keep_a_lock(tmp_path):
 def test_what_another_host_holds_is_never_taken(tmp_path):
     path = tmp_path / "run.lock"
     path.write_text(json.dumps({"pid": 77, "host": "elsewhere"}))
-    with pytest.raises(ArriveError, match=r"process 77 on elsewhere\. If that one has ended, delete .*run\.lock"):
+    with pytest.raises(ArriveError, match=r"process 77 on elsewhere\. If that process has ended, delete .*run\.lock"):
         Lock(path, "the run").acquire()
     assert json.loads(path.read_text())["host"] == "elsewhere"
 

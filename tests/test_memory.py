@@ -42,7 +42,7 @@ def test_what_does_not_fit_is_refused_and_says_how_many_do(one_gib):
     words = r"not enough memory for 5 robots: about 1\.7 GiB are needed and 1\.0 GiB are free; 2 fit, .*--num-envs"
     with pytest.raises(ArriveError, match=words):
         check_room(5, GIB / 4, "robots", "--num-envs", fixed=GIB / 4 + GIB / 20 * 4)
-    with pytest.raises(ArriveError, match="free; choose less with --num-envs"):
+    with pytest.raises(ArriveError, match="free; choose fewer with --num-envs"):
         check_room(1, 1.0, "robots", "--num-envs", fixed=2 * GIB)
     with pytest.raises(ArriveError, match="not enough memory"):
         check_room(10**400, 1.0, "robots", "--num-envs")

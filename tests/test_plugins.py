@@ -81,10 +81,10 @@ def test_the_guides_terrain_and_robot_train_and_export(tmp_path, capsys):
 
     forget()
     assert "unknown robot 'pup'" in (message := refused(capsys, "train", "flat", "--robot", "pup"))
-    assert "one of your own comes with --import FILE.py" in message
+    assert "add your own with --import FILE.py" in message
     go_on = ["train", "ditch,flat", "--resume", "run", "--iterations", "2", "--threads", "1"]
-    assert "made with the module 'pup': add --import" in refused(capsys, *go_on)
-    assert "made with the module 'pup': add --import" in refused(capsys, "export", "run")
+    assert "needs the module 'pup': add --import" in refused(capsys, *go_on)
+    assert "needs the module 'pup': add --import" in refused(capsys, "export", "run")
     cli.main([*go_on, *both])
     cli.main(["export", "run", "-o", "pup.onnx", *both])
     assert read_policy_file("pup.onnx").robot.name == "pup"
@@ -179,7 +179,7 @@ def test_an_installed_package_needs_no_import(tmp_path, monkeypatch, capsys):
         ("import nothing_like_it", "--import mine.py failed: ModuleNotFoundError"),
         (
             "from arrive.robots import get_robot, register_robot\nregister_robot(get_robot('go2'))",
-            "there is a robot 'go2' already",
+            "a robot named 'go2' already exists",
         ),
         (
             "from dataclasses import replace\nfrom arrive.robots import get_robot, register_robot\n"
@@ -204,7 +204,7 @@ def test_an_installed_package_needs_no_import(tmp_path, monkeypatch, capsys):
         (
             "from dataclasses import replace\nfrom arrive.terrain import get_family, register_terrain\n"
             "register_terrain(replace(get_family('gap'), name='my gap'))",
-            "'my gap' is no name of a terrain",
+            "'my gap' is not a valid terrain name",
         ),
     ],
 )
@@ -217,4 +217,4 @@ def test_a_missing_module_is_one_line(tmp_path, capsys):
     assert "there is no such file" in refused(capsys, "list", "--import", "gone.py")
     assert "ModuleNotFoundError" in refused(capsys, "list", "--import", "gone")
     (tmp_path / "json.py").write_text("")
-    assert "a module 'json' is loaded already" in refused(capsys, "list", "--import", "json.py")
+    assert "a module named 'json' is already loaded" in refused(capsys, "list", "--import", "json.py")

@@ -1,4 +1,4 @@
-"""The program `arrive`, also on a robot's computer, where the command line's own libraries are missing."""
+"""The program `arrive`. It also runs on a robot's computer without the libraries of the command line."""
 
 from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
 
@@ -9,14 +9,14 @@ import sys  # noqa: E402
 
 
 def main() -> None:
-    """Run a command; of all commands `verify` needs NumPy and onnxruntime alone."""
+    """Run a command. Only `verify` works with NumPy and onnxruntime alone."""
     try:
         _run()
     except KeyboardInterrupt:
         print("arrive: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
     finally:
-        leave_at_once()  # while libraries end their threads
+        leave_at_once()  # libraries are stopping their threads
 
 
 def _run() -> None:
@@ -31,8 +31,8 @@ def _run() -> None:
         verify(sys.argv[2:])
     else:
         print(
-            "arrive: this is the controller's installation, which has only `arrive verify FILE`; "
-            "all else needs the dependencies too: pip install . in a checkout",
+            "arrive: this is the controller-only installation, which has only `arrive verify FILE`; "
+            "for other commands install the dependencies: pip install . in a checkout",
             file=sys.stderr,
         )
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""Puts an environment together from a configuration."""
+"""Builds an environment from a configuration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ from arrive.terrain.levels import level_values
 
 @dataclass(frozen=True)
 class Placement:
-    """Which terrain the environments stand on, where it is not the training curriculum's."""
+    """Terrain and commands of the environments, where they differ from training."""
 
     layout: Layout = "training"
     values: tuple[tuple[float, ...], ...] | None = None
-    """Parameters of each family's levels; None for the curriculum's."""
+    """Parameters of each family's levels; None for those of training."""
     seed_offset: int = 0
     """Added to the configuration's seed for terrain, friction and payload."""
     trial: Trial | Cruise | None = None
-    """The errand or the constant command of every robot; None to draw commands."""
+    """A fixed command for the robots; None for random commands."""
     assignment: tuple[Tensor, Tensor] | None = None
-    """Family and level of each environment, fixed; None for the curriculum."""
+    """Fixed family and level of each environment; None for the curriculum."""
 
 
 Progress = Callable[[int, int], None]
@@ -49,16 +49,16 @@ def build_env(
 
     Args:
         threads: physics threads; 0 takes one per CPU.
-        progress: told worlds compiled so far and their number.
-        device: where the robots live: the CPU or a GPU (see `choose_device`); by default where the placement's
-            assignment is, or else the CPU.
-        learning: whether networks are going to be trained on what the robots do, for which room must be left.
+        progress: called with the number of worlds compiled so far and their total.
+        device: where to simulate: the CPU or a GPU (see `choose_device`). The default is the device of the placement's
+            assignment, or else the CPU.
+        learning: whether networks will be trained, for which memory must be left.
 
     Raises:
-        ArriveError: the configuration names something unknown, asks for nothing, or needs more memory than is free.
+        ArriveError: the configuration is invalid, or needs more memory than is free.
     """
     check(config)
-    network = motor_network(config.physics)  # before the worlds, so that a bad file is told at once
+    network = motor_network(config.physics)  # before the worlds, so that a bad file is reported at once
     robot = get_robot(config.robot)
     families = tuple(get_family(name) for name in config.terrain.families)
     _check_memory(config, families, placement.values, learning)
@@ -80,7 +80,7 @@ def build_env(
 def _check_memory(
     config: Config, families: tuple[Family, ...], values: tuple[tuple[float, ...], ...] | None, learning: bool
 ) -> None:
-    """Refuse what does not fit, before anything of it is built."""
+    """Raise an error if the worlds and robots do not fit into memory, before anything is built."""
     variants = config.terrain.variants
     levels = [len(own) for own in values] if values else [config.terrain.levels] * len(families)
     worlds = variants * sum(levels)

@@ -30,9 +30,9 @@ from arrive.plugins import import_module, import_packages
 from arrive.startup import interrupt_again
 
 DEBUG = "--debug"
-"""Option of every command: problems show their traceback."""
+"""Option of every command: show tracebacks."""
 IMPORT = "--import"
-"""Option of every command: a module whose robots, terrains and more can be used by name."""
+"""Option of every command: import a module that registers robots, terrains or other parts."""
 
 
 Command = (
@@ -53,11 +53,11 @@ Command = (
 
 
 SETTABLE = ("train", "bench")
-"""Commands that change fields of the configuration with --set; their help lists all."""
+"""Commands that accept --set. Their help lists all fields of the configuration."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command; a problem is one line on standard error and exit status 1, with --debug also its traceback."""
+    """Run a command. An error prints one line on standard error and exits with 1; --debug adds the traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"arrive {__version__}")
         return
     imports, words = _imports(words)
-    description = f"{__doc__} {DEBUG} shows tracebacks; {IMPORT} FILE.py adds robots, terrains and more of your own."
+    description = f"{__doc__} {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more."
     try:
         command = tyro.cli(Command, prog="arrive", description=description, args=words)
     except SystemExit as stop:
@@ -88,8 +88,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _show_fields() -> None:
-    """What --set can change, below the help of a command that has it."""
-    # Imported here so that the help of other commands answers at once.
+    """Print the fields that --set can change, below the command's help."""
+    # Imported here so that the help of other commands is fast.
     from arrive.commands.settings import print_config
 
     print()
@@ -97,14 +97,14 @@ def _show_fields() -> None:
 
 
 def _show_anything() -> None:
-    """Names of files that are no text, and consoles that know ASCII alone, do not end a command that has worked."""
+    """Escape characters that the console cannot print, such as in file names, so that printing never raises."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _check_empty(words: list[str]) -> None:
-    """Refuse what a variable that is not set leaves of a path, which would be the present folder.
+    """Refuse empty arguments. An unset shell variable leaves one, and as a path it means the current folder.
 
     Raises:
         ArriveError: an argument is empty.
@@ -115,7 +115,7 @@ def _check_empty(words: list[str]) -> None:
 
 
 def _imports(words: list[str]) -> tuple[list[str], list[str]]:
-    """What --import names, and the other words."""
+    """The modules that --import names, and the other arguments."""
     sources, others, words = [], [], list(words)
     while words:
         word = words.pop(0)
@@ -129,7 +129,7 @@ def _imports(words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _one_line(error: BaseException) -> str:
-    """What went wrong, for a person, whatever it was."""
+    """An error as one line for the user."""
     if isinstance(error, ArriveError):
         return str(error)
     if isinstance(error, KeyboardInterrupt):
@@ -160,7 +160,7 @@ def _run(command: Command) -> None:
         Actuator: ("actuator", "actuator"),
         List: ("names", "list_names"),
     }[type(command)]
-    # Imported here so that help and misspelt options answer at once.
+    # Imported here so that help and misspelt options are fast.
     run = getattr(importlib.import_module(f"arrive.commands.{module}"), function)
     interrupt_again()
     run(command)

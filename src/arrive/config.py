@@ -1,7 +1,7 @@
-"""The configuration of a run: frozen data, built fresh by a preset, changed by name, saved with the run.
+"""The configuration of a run: frozen data that a preset builds, `--set` changes by name, and the run saves.
 
-The parameters of tasks, rewards, observations and physics stand beside the code that reads them; the ranges of all
-fields are checked here, before anything is built.
+The parameters of tasks, rewards, observations and physics are defined beside the code that uses them. `check` tests the
+ranges of all fields before anything is built.
 """
 
 import os
@@ -38,25 +38,25 @@ __all__ = [
 ]
 
 BYTES_PER_ENTRY = 25
-"""Memory that training takes at its peak per observed number of a rollout: measured between 256 and 4,096 robots with
-`robust` on a CPU, storage and update together."""
+"""Peak memory of training per observation entry of a rollout, storage and update together. Measured with `robust` and
+256 to 4,096 robots on a CPU."""
 BYTES_ALONE = 450_000_000
-"""Memory that training takes with hardly any robots."""
+"""Memory of training with almost no robots."""
 Precision = Literal["float32", "bfloat16", "auto"]
 
 
 @dataclass(frozen=True)
 class TerrainConfig:
-    """Which ground the robots meet."""
+    """The terrain to train on."""
 
     families: tuple[str, ...] = ("flat",)
-    """Terrain families, by name."""
+    """Names of the terrain families."""
     levels: Count = 10
-    """Number of levels between each family's easiest and hardest parameter."""
+    """Number of levels, from each family's easiest to its hardest parameter."""
     variants: Count = 8
-    """Different worlds per family and level: terrain where it is random, friction and payload always."""
+    """Number of worlds per family and level. They differ in friction and payload, and in terrain if it is random."""
     demotion_share: Share = 1.0
-    """Share of the failures that lower the level: with q levels settle where q / (1 + q) of the episodes succeed."""
+    """Probability that a failure lowers the level. With q, levels stop rising at a success rate of q / (1 + q)."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class PPOConfig:
     clip: Positive = 0.2
     """Clip range of the probability ratio and of the value."""
     learning_rate: Positive = 1e-3
-    """First learning rate; adapted to the KL divergence."""
+    """Initial learning rate, adapted to `desired_kl`."""
     desired_kl: NotNegative = 0.01
-    """KL divergence per update that the learning rate is adapted to; 0 keeps the rate fixed."""
+    """The learning rate is adapted to keep this KL divergence per update; 0 keeps the rate fixed."""
     entropy: NotNegative = 0.005
     """Weight of the entropy bonus."""
     value_loss: NotNegative = 1.0
@@ -86,57 +86,58 @@ class PPOConfig:
     max_grad_norm: Positive = 1.0
     """Gradients are clipped to this norm."""
     init_std: Positive = 1.0
-    """First standard deviation of the action noise, whose logarithm is learnt."""
+    """Initial standard deviation of the action noise. Its logarithm is learnt."""
     hidden: Annotated[tuple[int, ...], Range(1)] = (512, 256, 128)
-    """Hidden layers of actor and critic."""
+    """Sizes of the hidden layers of actor and critic."""
     precision: Precision = "float32"
-    """Arithmetic of the hidden layers in training; `auto` takes bfloat16 on CPUs that multiply it in hardware. Weights,
-    losses, evaluation and exported policies are float32 always."""
+    """Arithmetic of the hidden layers in training. `auto` takes bfloat16 on CPUs that multiply it in hardware. Weights,
+    losses, evaluation and exported policies are always float32."""
     symmetry: bool = False
-    """Whether the networks treat the robot's mirror images alike, left and right and, where it has that symmetry, front
-    and back."""
+    """Whether the networks are equivariant under the robot's mirror symmetries: left-right and, if the robot has it,
+    front-back."""
 
 
 @dataclass(frozen=True)
 class ScheduleConfig:
-    """How training changes once a gait is found, and towards its end. Until then `ppo` and `task` hold."""
+    """Changes during training: the climb, once a gait is found, and the finish. Before that, `ppo` and `task` apply."""
 
     enabled: bool = False
-    """Whether anything changes."""
+    """Whether to use the schedule."""
     climb_std: Positive = 0.4
-    """Bound on the action noise's standard deviation while the levels rise; it falls from this to `finish_std`."""
+    """Upper bound on the standard deviation of the action noise while the levels rise; it falls from this to
+    `finish_std`."""
     climb_entropy: NotNegative = 0.0
     """Weight of the entropy bonus while the levels rise."""
     climb_kl: NotNegative = 0.02
     """KL divergence per update while the levels rise."""
     climb_crash_cost: NotNegative = 6.0
-    """What a crash costs while the levels rise."""
+    """Cost of a crash while the levels rise."""
     climb_review: Annotated[float, Range(0.0, 1.0, below=True)] = 0.25
     """Share of the episodes on a random easier level while the levels rise."""
     finish_from: Share = 0.75
-    """Share of the budget at which the finish begins; 1 for none."""
+    """Share of the budget after which the finish begins; 1 for no finish."""
     finish_std: Positive = 0.15
-    """Bound on the action noise's standard deviation in the end."""
+    """Upper bound on the standard deviation of the action noise at the end of training."""
     finish_kl: NotNegative = 0.01
-    """KL divergence per update in the end."""
+    """KL divergence per update at the end of training."""
     finish_crash_cost: NotNegative = 10.0
-    """What a crash costs in the end."""
+    """Cost of a crash at the end of training."""
     finish_review: Annotated[float, Range(0.0, 1.0, below=True)] = 0.5
-    """Share of the episodes on a random easier level in the end."""
+    """Share of the episodes on a random easier level at the end of training."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that decides what a run does."""
+    """Everything that determines a run."""
 
     preset: str = "paper"
-    """The named configuration that this one is made from, see `arrive list presets`."""
+    """The preset that this configuration started from, see `arrive list presets`."""
     robot: str = "anymal_c"
     """The robot, see `arrive list robots`."""
     num_envs: Count = 1024
-    """Robots simulated side by side."""
+    """Number of robots simulated in parallel."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 1
-    """Seed of networks, terrain and everything random."""
+    """Random seed of networks, terrain and everything else."""
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
@@ -146,31 +147,31 @@ class Config:
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 
     def rules(self) -> tuple[Rule, ...]:
-        """What fields must be because of others."""
+        """Conditions between fields."""
         batch, families = self.num_envs * self.ppo.num_steps, len(self.terrain.families)
         mass, step, robots = base_mass(self.robot), self.physics.control_dt, robots_that_fit(self)
         offset, level = self.randomisation.start_offset, START_RADIUS * get_robot(self.robot).size
         return (
             Rule("ppo.mini_batches", f"at most the batch of {batch}", self.ppo.mini_batches <= batch),
             Rule("num_envs", f"at least the number of terrain families, {families}", self.num_envs >= families),
-            Rule("num_envs", f"at most {robots}, as many as this machine's memory holds", self.num_envs <= robots),
+            Rule("num_envs", f"at most {robots}, which fit into this machine's memory", self.num_envs <= robots),
             Rule(
                 "randomisation.payload_kg",
-                f"above -{mass:g}, or nothing is left of the base",
+                f"above -{mass:g}, the base's own mass",
                 self.randomisation.payload_kg[0] > -mass,
             ),
             Rule(
                 "randomisation.payload_kg",
-                f"at most {10.0 * mass:g}, ten times the base",
+                f"at most {10.0 * mass:g}, ten times the base's mass",
                 self.randomisation.payload_kg[1] <= 10.0 * mass,
             ),
-            Rule("randomisation.start_offset", f"at most {level:g}, as far as the ground is level", offset <= level),
-            Rule("task.episode_s", f"at least a policy step, {step:g} s", self.task.episode_s >= step),
+            Rule("randomisation.start_offset", f"at most {level:g}, where the ground is level", offset <= level),
+            Rule("task.episode_s", f"at least one policy step, {step:g} s", self.task.episode_s >= step),
         )
 
 
 def robots_that_fit(config: Config) -> int:
-    """How many robots can be trained in this machine's memory."""
+    """Number of robots that this machine's memory is enough to train."""
     terms = get_task(config.task.name).observation_terms(config.task, config.observation, get_robot(config.robot))
     per_robot = BYTES_PER_ENTRY * sum(term.size for term in terms) * config.ppo.num_steps
     return max(memory_bytes() - BYTES_ALONE, 0) // per_robot
@@ -178,7 +179,7 @@ def robots_that_fit(config: Config) -> int:
 
 @cache
 def memory_bytes() -> int:
-    """Memory of this machine, or what its control group lets this process have."""
+    """Memory of this machine, or the limit of the process's control group if that is lower [bytes]."""
     whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         return min(whole, int(Path("/sys/fs/cgroup/memory.max").read_text()))
@@ -194,23 +195,23 @@ def base_mass(robot: str) -> float:
 
 
 def saved_config(data: dict[str, Any], source: Path) -> Config:
-    """The configuration that a file has kept.
+    """The configuration saved in a file.
 
     Raises:
-        ArriveError: it is damaged, or another version of this software made it.
+        ArriveError: the file is damaged or was written by another version of arrive.
     """
     try:
         return from_dict(Config, data)
     except ArriveError as error:
-        raise ArriveError(f"cannot read {source}: made by another version of arrive? {error}") from error
+        raise ArriveError(f"cannot read {source}: was it made by another version of arrive? {error}") from error
 
 
 def check(config: Config) -> None:
-    """Make sure that a configuration can be run before anything is built from it.
+    """Check a configuration before anything is built from it.
 
     Raises:
-        ArriveError: an unknown robot or terrain, or fields out of range: one line that names each with its value and
-            its range.
+        ArriveError: an unknown robot or terrain, or fields out of range; one line names each field, its value and its
+            range.
     """
     get_robot(config.robot)
     for name in config.terrain.families:

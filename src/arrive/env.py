@@ -32,32 +32,32 @@ class Finished:
     env_ids: Tensor
     success: Tensor
     counted: Tensor
-    """False for the shortened episodes with which a run begins, those that review an easier level, and diverged
+    """False for a run's shortened first episodes, episodes on an easier level than the robot's own, and diverged
     simulations."""
     levels: Tensor
-    """Level they were played on."""
+    """Terrain level of the episode."""
     distance: Tensor
-    """How much of the way was left at the end [m]."""
+    """Distance left at the end [m]."""
     failures: dict[str, Tensor]
     observation: Tensor | None = None
-    """(ended, size) the last observation of each, where `ArriveEnv.final_observations` asks for it."""
+    """(ended, size) the last observation of each, if `ArriveEnv.final_observations` is set."""
 
 
 @dataclass
 class StepLog:
-    """What one step has to report."""
+    """Results of one step, for statistics."""
 
     rewards: dict[str, Tensor] = field(default_factory=dict)
     """Weighted reward of each term, (num_envs,)."""
     diverged: int = 0
-    """Simulations that left the finite numbers and were reset."""
+    """Number of simulations that diverged and were reset."""
     success: Tensor | None = None
     """(num_envs,) bool: the episode would be a success if it ended now."""
     finished: Finished | None = None
 
 
 class ArriveEnv(VecEnv):
-    """Robots that must reach places by given times, each on a tile of its own."""
+    """Robots that must reach targets by given times, each on its own tile."""
 
     def __init__(
         self,
@@ -72,8 +72,8 @@ class ArriveEnv(VecEnv):
         """Start every robot's first episode.
 
         Args:
-            assignment: (num_envs,) family and (num_envs,) level of each robot, to stay there. Without it robots are
-                dealt to the families in equal parts, levels follow success, and the first episodes are shortened to
+            assignment: (num_envs,) fixed family and (num_envs,) fixed level of each robot. Without it, robots are
+                distributed equally over the families, levels follow success, and the first episodes are shortened to
                 spread their ends.
         """
         self.config, self.cfg = config, config
@@ -86,9 +86,9 @@ class ArriveEnv(VecEnv):
         self._generator = generator
         self._assignment, self._learning = assignment, assignment is None
         self.review = 0.0
-        """Share of the episodes on an easier level than the robot's own; a schedule may change it."""
+        """Share of the episodes on an easier level than the robot's own. A schedule may change it."""
         self.final_observations = False
-        """Whether to take down the last observation of every episode, which costs a second look at all robots."""
+        """Whether to record the last observation of every episode, which computes all observations a second time."""
         sensing = config.observation
         terms = task.observation_terms(config.task, sensing, robot)
         self.observer = Observer(terms, sensing.noise, self.device, sensing.noise_least)
@@ -106,8 +106,7 @@ class ArriveEnv(VecEnv):
         """Start every robot's first episode again.
 
         Args:
-            seed: the generator starts from it, and levels and exploration reward as in a new environment; None goes
-                on from where they are.
+            seed: seeds the generator and resets levels and exploration reward; None keeps all three.
         """
         if seed is not None:
             self._generator.manual_seed(seed)
@@ -123,11 +122,11 @@ class ArriveEnv(VecEnv):
         self.exploration = ExplorationSwitch(self.family_of_env)
 
     def settle(self, levels: dict[str, Tensor]) -> None:
-        """Start every robot's first episode again, at levels that were reached before.
+        """Start every robot's first episode again, at levels drawn from those of an earlier run.
 
         Args:
-            levels: of robots, by terrain family: 0 for the easiest to 1 for the hardest, in any number. The robots of a
-                family that is not among them stay on their level.
+            levels: by terrain family, any number of levels between 0 (easiest) and 1 (hardest). Robots of other
+                families stay on their level.
         """
         for index, family in enumerate(self.pool.families):
             if family.name in levels:
@@ -139,23 +138,23 @@ class ArriveEnv(VecEnv):
 
     @property
     def tile_of_env(self) -> Tensor:
-        """(num_envs,) index into the pool's tiles of the tile each robot stands on."""
+        """(num_envs,) index of each robot's tile in the pool."""
         return self.memory.tile
 
     @property
     def retired(self) -> Tensor:
-        """(num_envs,) bool: robots that were taken out of the simulation."""
+        """(num_envs,) bool: robots that are no longer simulated."""
         return self.memory.retired
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
-        """Advance every robot by one policy step; robots whose episode ended start the next one.
+        """Advance every robot by one policy step. Robots whose episode ended start the next one.
 
         Args:
             actions: (num_envs, joints) joint targets relative to the default pose, in units of the action scale.
 
         Returns:
-            observations after the step (of the next episode where one ended), rewards (num_envs,), dones (num_envs,)
-            and rsl_rl's extras.
+            Observations after the step (after an episode's end, the first of the next episode), rewards (num_envs,),
+            dones (num_envs,), and rsl_rl's extras.
         """
         self.memory.act(actions)
         self._simulate()
@@ -177,11 +176,11 @@ class ArriveEnv(VecEnv):
         return self.observer.observe(self.state, self.task.command, self._generator)
 
     def joint_targets(self, actions: Tensor) -> Tensor:
-        """What actions mean: (num_envs, joints) [rad]."""
+        """(num_envs, joints) joint targets of actions [rad]."""
         return self._default_joint_pos + self.robot.action_scale * actions
 
     def retire(self, env_ids: Tensor) -> None:
-        """Take robots out of the simulation for good: an evaluation has seen what it wanted of them."""
+        """Stop simulating these robots, because an evaluation does not need them any more."""
         self.memory.retired[env_ids] = True
         self.physics.retire(env_ids)
 
@@ -258,7 +257,7 @@ class ArriveEnv(VecEnv):
             self.memory.moved[ids] = True
 
     def _look_again(self) -> None:
-        """Read the robots that were reset or pushed since the others were read."""
+        """Read the state again of robots that were reset or pushed since the last reading."""
         ids = self.memory.moved.nonzero().squeeze(-1)
         if not len(ids):
             return
@@ -269,7 +268,7 @@ class ArriveEnv(VecEnv):
 
     @property
     def exploration_paid(self) -> float:
-        """Share of the robots that still seek the task, where a reward leads them to it."""
+        """Share of the robots that still get the exploration reward; 0 if no term guides them to the target."""
         return self.exploration.paid if self.rewarder.leads else 0.0
 
     def _extras(self, endings: Endings) -> dict:
@@ -278,10 +277,10 @@ class ArriveEnv(VecEnv):
     def _uniform(self, *shape: int) -> Tensor:
         return torch.rand(*shape, generator=self._generator, device=self.device)
 
-    # Exact continuation.
+    # Exact resume.
 
     def state_dict(self) -> dict:
-        """Everything that decides the future of this environment."""
+        """Everything that an exact resume needs."""
         return {
             "physics": self.physics.state_dict(),
             "task": self.task.state_dict(),
@@ -293,7 +292,7 @@ class ArriveEnv(VecEnv):
         }
 
     def load_state_dict(self, state: dict) -> None:
-        """Go on exactly from a `state_dict` of an environment of the same configuration."""
+        """Resume exactly from the `state_dict` of an environment with the same configuration."""
         self.physics.load_state_dict(state["physics"])
         self.task.load_state_dict(state["task"])
         self.memory.load_state_dict(state["memory"])

@@ -1,15 +1,15 @@
-"""Errors that a person can act on; the command line prints their message without a traceback."""
+"""Errors that the user can act on. The command line prints their message without a traceback."""
 
 import difflib
 from collections.abc import Iterable
 
 
 class ArriveError(Exception):
-    """A problem the user can solve; its message says what is wrong and what to do."""
+    """A problem that the user can solve. The message says what is wrong and what to do."""
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ArriveError:
-    """The error for a name that does not exist: it lists the valid ones and guesses what was meant."""
+    """The error for an unknown name. It lists the valid names and suggests a similar one."""
     names = sorted(valid)
     close = difflib.get_close_matches(name, names, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""

@@ -1,9 +1,9 @@
-"""Fields of configurations: their ranges and words, checks, changes by name, and the way to and from plain data.
+"""Fields of configurations: ranges, documentation, checks, changes by name, and conversion to and from plain data.
 
-A configuration is a frozen dataclass whose fields may be such dataclasses again. A field's range stands in its type,
-`Annotated[float, Range(0.0, 1.0)]`; a string under it says what it is, with its unit in brackets. Where a range depends
-on another field the dataclass has a method `rules`. A dataclass with a class variable `kinds` stands for one of several
-by their `name`.
+A configuration is a frozen dataclass, and its fields may be such dataclasses too. The range of a field is part of its
+type, `Annotated[float, Range(0.0, 1.0)]`. The string below the field is its documentation, with the unit in brackets.
+If a range depends on another field, the dataclass has a method `rules`. A dataclass with a class variable `kinds` is
+the base class of several, which are told apart by their field `name`.
 """
 
 import ast
@@ -24,18 +24,18 @@ from arrive.errors import ArriveError, unknown_name
 
 @dataclass(frozen=True)
 class Range:
-    """What a number may be, or each number of a list; never NaN or infinite."""
+    """The valid range of a number, or of each number in a list. NaN and infinity are never valid."""
 
     low: float = -math.inf
     high: float = math.inf
     above: bool = False
-    """Whether `low` itself is too low."""
+    """Whether the number must be above `low`, not equal to it."""
     below: bool = False
-    """Whether `high` itself is too high."""
+    """Whether the number must be below `high`, not equal to it."""
 
     def holds(self, value: float) -> bool:
         """Whether the number is in the range."""
-        if isinstance(value, float) and not math.isfinite(value):  # whole numbers may be too long for it
+        if isinstance(value, float) and not math.isfinite(value):  # isfinite raises for very large integers
             return False
         enough = value > self.low if self.above else value >= self.low
         return enough and (value < self.high if self.below else value <= self.high)
@@ -58,11 +58,11 @@ NotPositive = Annotated[float, Range(high=0.0)]
 Share = Annotated[float, Range(0.0, 1.0)]
 Count = Annotated[int, Range(1)]
 Interval = tuple[float, float]
-"""Two numbers, the smaller one first."""
+"""Two numbers, the smaller first."""
 
 
 class Rule(NamedTuple):
-    """What a field must be because of other fields."""
+    """A condition on a field that depends on other fields."""
 
     field: str
     must: str
@@ -70,7 +70,7 @@ class Rule(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One field as people read about it."""
+    """One field, for documentation."""
 
     path: str
     value: Any
@@ -80,21 +80,21 @@ class Row(NamedTuple):
 
 
 def hints_of(kind: type) -> dict[str, Any]:
-    """The type of every field, with its range."""
+    """The type of every field, including its range."""
     hints = get_type_hints(kind, include_extras=True)
     return {row.name: hints[row.name] for row in dataclasses.fields(kind)}
 
 
 def is_interval(hint: Any) -> bool:
-    """Whether a field is a pair of numbers, the smaller one first."""
+    """Whether a field is a pair of numbers, the smaller first."""
     return get_origin(hint) is tuple and get_args(hint) == (float, float)
 
 
 def check(config: Any) -> None:
-    """Make sure that every field is in its range.
+    """Check that every field is in its range.
 
     Raises:
-        ArriveError: lists every field that is not, with its value and what it must be.
+        ArriveError: lists every field that is out of range, with its value and the range.
     """
     problems = [f"{path} must be {must}, not {_shown(value)}" for path, value, must in problems_of(config)]
     if problems:
@@ -106,7 +106,7 @@ def _shown(value: Any) -> str:
 
 
 def problems_of(config: Any, where: str = "") -> Iterator[tuple[str, Any, str]]:
-    """(path, value, what it must be) of every field that is out of range; rules speak only where ranges hold."""
+    """(path, value, required range) of every field out of range. Rules are tested only if all ranges are valid."""
     bad = False
     for name, hint in hints_of(type(config)).items():
         value, path = getattr(config, name), f"{where}{name}"
@@ -128,8 +128,8 @@ def problems_of(config: Any, where: str = "") -> Iterator[tuple[str, Any, str]]:
 
 
 def _out_of_range(hint: Any, value: Any) -> str | None:
-    """What a value must be, where it is not."""
-    base, limits = parted(hint)
+    """The required range of a value if it is out of range, else None."""
+    base, limits = split_range(hint)
     if isinstance(value, tuple):
         numbers = [item for item in value if isinstance(item, float | int)]
         fine = bool(value) and all(limits.holds(item) for item in numbers)
@@ -143,7 +143,7 @@ def _out_of_range(hint: Any, value: Any) -> str | None:
 
 def _words(hint: Any) -> str:
     """The range of a field in words."""
-    base, limits = parted(hint)
+    base, limits = split_range(hint)
     if is_interval(base):
         return f"two numbers, the smaller first, {limits}"
     if get_origin(base) is tuple:
@@ -153,7 +153,7 @@ def _words(hint: Any) -> str:
     return {bool: "true or false", str: ""}.get(base, str(limits))
 
 
-def parted(hint: Any) -> tuple[Any, Range]:
+def split_range(hint: Any) -> tuple[Any, Range]:
     """A field's type without its range, and the range."""
     if get_origin(hint) is Annotated:
         base, *notes = get_args(hint)
@@ -162,7 +162,7 @@ def parted(hint: Any) -> tuple[Any, Range]:
 
 
 def rows(config: Any, where: str = "") -> Iterator[Row]:
-    """Every field of a configuration, with its value there."""
+    """Every field of a configuration with its value."""
     words = documentation(type(config))
     meanings = {row.name: row.metadata.get("meaning", "") for row in dataclasses.fields(config)}
     for name, hint in hints_of(type(config)).items():
@@ -180,13 +180,13 @@ def rows(config: Any, where: str = "") -> Iterator[Row]:
 
 
 def _unit(meaning: str) -> str:
-    """The first words in brackets."""
+    """The text in the first brackets."""
     return meaning.partition("[")[2].partition("]")[0]
 
 
 @cache
 def documentation(kind: type) -> dict[str, str]:
-    """What the strings under a dataclass's fields say, those of the classes it extends too."""
+    """The documentation strings below a dataclass's fields, including those of its base classes."""
     words: dict[str, str] = {}
     for owner in reversed([base for base in kind.__mro__ if dataclasses.is_dataclass(base)]):
         body = ast.parse(textwrap.dedent(inspect.getsource(owner))).body[0].body
@@ -217,10 +217,10 @@ def from_dict(kind: type, data: dict[str, Any], where: str = "") -> Any:
 def override(config: Any, assignments: tuple[str, ...]) -> Any:
     """Change fields by `path=value`, e.g. `task.rewards.stall_cost=-2` or `ppo.hidden=[128,64]`.
 
-    Of a term with several fields a number alone is its weight, or its noise.
+    For a term with several fields, a single number sets its weight, or its noise.
 
     Raises:
-        ArriveError: malformed, or no such field.
+        ArriveError: the assignment is malformed, or there is no such field.
     """
     data = to_dict(config)
     for assignment in assignments:
@@ -250,7 +250,7 @@ def _assign(config: Any, data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _no_field(config: Any, part: Any, path: str, key: str) -> ArriveError:
-    """The error for a path that leads nowhere: what was meant, there or elsewhere, and what is valid there."""
+    """The error for an unknown path. It lists the valid fields and suggests a similar path."""
     valid = [row.name for row in dataclasses.fields(part)] if dataclasses.is_dataclass(part) else []
     paths = [row.path for row in rows(config)]
     elsewhere = [known for known in paths if _words_of(key) <= _words_of(known)]
@@ -268,7 +268,7 @@ def _words_of(path: str) -> set[str]:
 
 
 def _likeness(path: str, known: str) -> float:
-    """How much two paths say the same: the share of words in common, and a little for common letters."""
+    """Similarity of two paths: the share of common words, plus a little for common letters."""
     first, second = _words_of(path), _words_of(known)
     letters = difflib.SequenceMatcher(None, path, known).ratio()
     return len(first & second) / len(first | second) + 0.25 * letters
@@ -277,12 +277,12 @@ def _likeness(path: str, known: str) -> float:
 def _parse(text: str) -> Any:
     try:
         return json.loads(text)
-    except (ValueError, RecursionError):  # no JSON, a number of thousands of digits, or nested without end
+    except (ValueError, RecursionError):  # not JSON, a number with thousands of digits, or nested too deeply
         return {"True": True, "False": False}.get(text, text)
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:
-    hint, _ = parted(hint)
+    hint, _ = split_range(hint)
     if isinstance(hint, type) and (kinds := vars(hint).get("kinds")):
         return _choose(kinds, value, where)
     if dataclasses.is_dataclass(hint):
@@ -305,7 +305,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
 
 
 def _choose(kinds: dict[str, type], value: Any, where: str) -> Any:
-    """The dataclass of several whose `name` the data has."""
+    """The dataclass that the `name` in the data selects."""
     if not isinstance(value, dict):
         raise ArriveError(f"{where} has fields of its own, it cannot be {value!r}")
     name = value.get("name")

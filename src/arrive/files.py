@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writing of files, and careful reading."""
 
 import json
 import os
@@ -12,20 +12,20 @@ from typing import Any
 from arrive.errors import ArriveError
 
 TEMPORARY = ".tmp"
-"""Part of the names of files that are not complete yet: `.NAME.RANDOM.tmp` and the suffix of NAME."""
+"""Marks files that are not complete yet. They are named `.NAME.RANDOM.tmp` plus the suffix of NAME."""
 LARGEST_FILE = 2**32
-"""Larger ones are refused instead of being read into memory [bytes]."""
+"""Larger files are refused instead of being read into memory [bytes]."""
 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Yield a file to write in place of `path`, which it replaces once it is complete and on the disk.
+    """Yield a temporary file to write. It replaces `path` once it is complete and on disk.
 
-    A failure, an interrupt, a kill or a full disk at any moment leaves what was at `path` as it was. The folder is made
-    where there is none. What is no regular file, like /dev/stdout, is written directly.
+    A failure, an interrupt, a kill or a full disk at any moment leaves `path` unchanged. The folder is created if it is
+    missing. A path that is not a regular file, like /dev/stdout, is written directly.
 
     Raises:
-        ArriveError: it cannot be written.
+        ArriveError: the file cannot be written.
     """
     try:
         path = Path(os.path.realpath(path))
@@ -49,7 +49,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def _finish(temporary: Path, path: Path) -> None:
-    """Put a complete file in its place, with the permissions of the one that was there."""
+    """Move a complete file to its place, with the permissions of the file that it replaces."""
     with temporary.open("rb") as file:
         os.fsync(file.fileno())
     os.chmod(temporary, path.stat().st_mode & 0o777 if path.exists() else 0o644)
@@ -62,26 +62,26 @@ def cannot_write(path: Path, error: OSError) -> ArriveError:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all; see `whole`."""
+    """Write a file atomically; see `whole`."""
     with whole(path) as file:
         file.write_bytes(data)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 file whole or not at all; see `whole`."""
+    """Write a UTF-8 file atomically; see `whole`."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write data as JSON, whole or not at all; see `whole`."""
+    """Write data as JSON, atomically; see `whole`."""
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def check_readable(path: Path) -> None:
-    """Make sure that a path leads to a file that can be read to its end: no device, no pipe, nothing without limits.
+    """Check that a path is a regular file of limited size, not a device or a pipe.
 
     Raises:
-        ArriveError: it does not.
+        ArriveError: it is not.
     """
     try:
         status = path.stat()
@@ -89,11 +89,9 @@ def check_readable(path: Path) -> None:
         raise ArriveError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
-        raise ArriveError(f"cannot read {path}: it is {kind}, no file")
+        raise ArriveError(f"cannot read {path}: it is {kind}, not a file")
     if status.st_size > LARGEST_FILE:
-        raise ArriveError(
-            f"cannot read {path}: its {status.st_size / 1e9:,.1f} GB are more than any file of arrive has"
-        )
+        raise ArriveError(f"cannot read {path}: it has {status.st_size / 1e9:,.1f} GB, more than any file of arrive")
 
 
 def read_bytes(path: Path) -> bytes:
@@ -109,7 +107,7 @@ def read_text(path: Path, encoding: str = "utf-8") -> str:
     """A UTF-8 file's text.
 
     Raises:
-        ArriveError: there is none, or it is no text.
+        ArriveError: there is no such file, or it is not text.
     """
     try:
         return read_bytes(path).decode(encoding)
@@ -121,7 +119,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """A JSON file's content, which must be an object.
 
     Raises:
-        ArriveError: it cannot be read, with the line where it goes wrong.
+        ArriveError: it cannot be read or parsed; the message has the line of the fault.
     """
     try:
         content = json.loads(read_text(path))
@@ -133,6 +131,6 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what a killed process has left of files that it was writing; only for who alone writes to the folder."""
+    """Remove incomplete files that a killed process left. Call it only if no other process writes to the folder."""
     for path in folder.glob(f".*{TEMPORARY}*"):
         path.unlink(missing_ok=True)

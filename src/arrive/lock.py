@@ -1,4 +1,4 @@
-"""A lock that says who holds it, for files and folders that only one process may write."""
+"""A lock that names its owner, for files and folders that only one process may write."""
 
 import fcntl
 import json
@@ -12,25 +12,25 @@ from arrive.files import cannot_write
 
 
 class Lock:
-    """Context manager around a file that names the owner's process and host; it is gone when the owner ends.
+    """Context manager around a lock file that names the owner's process and host. `release` removes the file.
 
-    The kernel's lock on the file (`flock`) ends with the process that holds it, however that ends, so that a file that
-    was left behind is taken over. What a process on another host has left is never taken: from here nobody can tell
-    whether that one is alive.
+    The kernel's lock on the file (`flock`) ends with the process that holds it, even after a kill, so a file left
+    behind is taken over. A file left by a process on another host is never taken over, because this host cannot tell
+    whether that process is alive.
     """
 
     def __init__(self, path: Path, what: str):
         """
         Args:
-            path: of the lock file.
-            what: it guards, for messages.
+            path: the lock file.
+            what: what the lock guards, for messages.
         """
         self.path, self._what = path, what
         self._handle: int | None = None
 
     @property
     def handle(self) -> int:
-        """The file descriptor; a child process that inherits it holds the lock too."""
+        """The file descriptor. A child process that inherits it holds the lock too."""
         if self._handle is None:
             raise RuntimeError(f"{self.path} is not held")
         return self._handle
@@ -39,7 +39,7 @@ class Lock:
         """Take the lock.
 
         Raises:
-            ArriveError: somebody else holds it, or the file cannot be written.
+            ArriveError: another process holds it, or the file cannot be written.
         """
         try:
             while self._handle is None:
@@ -48,7 +48,7 @@ class Lock:
             raise cannot_write(self.path, error) from error
 
     def _try(self) -> None:
-        """Lock the file, unless its owner removed it between our opening and locking it."""
+        """Lock the file, unless its owner removed it after we opened it and before we locked it."""
         handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             try:
@@ -65,7 +65,7 @@ class Lock:
         self._handle = handle
 
     def _take(self, handle: int) -> None:
-        """Write our name into the file, in place of that of a process that has ended."""
+        """Write our process and host into the file, over those of a process that has ended."""
         _, host = _owner(os.pread(handle, 4096, 0))
         if host not in (None, socket.gethostname()):
             raise self._held_by_another(os.pread(handle, 4096, 0))
@@ -76,8 +76,8 @@ class Lock:
         pid, host = _owner(content)
         message = f"{self._what} is in use by process {pid or '(unknown)'}"
         if host in (None, socket.gethostname()):
-            return ArriveError(f"{message}. Wait for it, or end it by Ctrl-C or `kill {pid or 'PID'}`.")
-        return ArriveError(f"{message} on {host}. If that one has ended, delete {self.path} and try again.")
+            return ArriveError(f"{message}. Wait for it, or end it with Ctrl-C or `kill {pid or 'PID'}`.")
+        return ArriveError(f"{message} on {host}. If that process has ended, delete {self.path} and try again.")
 
     def _is_at_path(self, handle: int) -> bool:
         try:
@@ -86,7 +86,7 @@ class Lock:
             return False
 
     def check(self) -> None:
-        """Make sure that the file is still there, and so that what it guards is still ours.
+        """Check that the file is still there, so that the lock still holds.
 
         Raises:
             ArriveError: somebody has removed or replaced it.
@@ -95,7 +95,7 @@ class Lock:
             raise ArriveError(f"{self.path} was removed while {self._what} was in use; nothing more is written there")
 
     def release(self) -> None:
-        """Remove the file and give the lock up."""
+        """Remove the file and release the lock."""
         if self._handle is None:
             return
         try:
@@ -118,7 +118,7 @@ class Lock:
 
 
 def _owner(content: bytes) -> tuple[int | None, str | None]:
-    """Process and host in a lock file; None where its owner was killed before it had written them."""
+    """Process and host in a lock file; None if its owner was killed before it wrote them."""
     try:
         owner = json.loads(content)
         return int(owner["pid"]), str(owner["host"])

@@ -1,7 +1,7 @@
-"""Other processes on this machine, and how to leave them the CPUs that we only wait on.
+"""Detects other busy processes and then lets torch's waiting threads sleep.
 
-Waiting threads of torch's OpenMP pool spin. Alone on a machine that makes the update a third faster than sleeping does
-(docs/performance.md). Beside a process that keeps a CPU busy, a thread that works waits for one that spins.
+Waiting threads of torch's OpenMP pool spin. On an idle machine this makes the update a third faster than sleeping
+(docs/performance.md). Beside another busy process, spinning threads take CPU time from working ones.
 """
 
 import os
@@ -10,24 +10,24 @@ from pathlib import Path
 
 STAT = Path("/proc/stat")
 LOOK_S = 0.2
-"""How long to look at the machine; the kernel counts in hundredths of a second."""
+"""Duration of the measurement [s]. The kernel's counters have a resolution of 0.01 s."""
 BUSY_CPUS = 0.5
-"""Neighbours that keep more CPUs than this busy make waiting threads sleep."""
+"""If other processes keep more CPUs than this busy, waiting threads sleep."""
 CHOSEN = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "LOCAL_WORLD_SIZE")
-"""Variables of who has chosen already: a person, or torchrun, whose processes are each other's neighbours."""
+"""If one of these variables is set, the user has already chosen, or torchrun runs several of our processes."""
 
 
 def wait_considerately() -> None:
-    """Let torch's waiting threads sleep if others need the CPUs; call before torch is loaded, which reads it then.
+    """Let torch's waiting threads sleep if other processes need the CPUs. Results do not depend on it.
 
-    The numbers that are computed do not depend on it.
+    Call this before torch is loaded, because torch reads the setting then.
     """
     if not any(name in os.environ for name in CHOSEN) and busy_cpus() > BUSY_CPUS:
         os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
 
 def busy_cpus(seconds: float = LOOK_S) -> float:
-    """How many of the CPUs that this process may use others keep busy, while it sleeps; 0 where nothing tells."""
+    """Number of this process's CPUs that other processes keep busy, measured while it sleeps; 0 if unknown."""
     before = _seconds()
     start = time.monotonic()
     time.sleep(seconds)
@@ -35,7 +35,7 @@ def busy_cpus(seconds: float = LOOK_S) -> float:
 
 
 def _seconds() -> float:
-    """Time that this process's CPUs have worked since the machine started [s]; see proc_stat(5)."""
+    """Busy time of the CPUs that this process may use, since the machine started [s]; see proc_stat(5)."""
     try:
         mine = {f"cpu{number}" for number in os.sched_getaffinity(0)}
         rows = [line.split() for line in STAT.read_text().splitlines()]

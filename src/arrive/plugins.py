@@ -1,6 +1,6 @@
-"""Robots, terrains and more from a user's own module: `--import my_module.py`, or an installed package.
+"""Robots, terrains and more from your own module: `--import my_module.py`, or an installed package.
 
-A module registers what it has when it is imported. A package that names its modules in the entry-point group
+A module registers its parts when it is imported. A package that lists its modules in the entry-point group
 `arrive.plugins` needs no `--import`.
 """
 
@@ -20,18 +20,18 @@ _imported: dict[str, str] = {}
 
 
 def imported() -> dict[str, str]:
-    """The modules that were imported for what they register: name, and where it came from."""
+    """The imported plugin modules: name and source."""
     return dict(_imported)
 
 
 def import_module(source: str) -> ModuleType:
-    """Import a module for what it registers; a second time it is not run again.
+    """Import a plugin module. Importing it a second time does not run it again.
 
     Args:
         source: a file that ends in .py, or the dotted name of an installed module.
 
     Raises:
-        ArriveError: there is no such module, or it failed; names the module and what went wrong.
+        ArriveError: there is no such module, or it failed; the message names the module and the fault.
     """
     path = Path(source)
     name = path.stem if path.suffix == ".py" else source
@@ -40,7 +40,7 @@ def import_module(source: str) -> ModuleType:
     if path.suffix == ".py" and not path.is_file():
         raise ArriveError(f"--import {source}: there is no such file")
     if path.suffix == ".py" and name in sys.modules:
-        raise ArriveError(f"--import {source}: a module {name!r} is loaded already; give the file another name")
+        raise ArriveError(f"--import {source}: a module named {name!r} is already loaded; rename the file")
     try:
         module = _run_file(name, path) if path.suffix == ".py" else importlib.import_module(source)
     except ArriveError as error:
@@ -64,10 +64,10 @@ def _run_file(name: str, path: Path) -> ModuleType:
 
 
 def import_packages() -> None:
-    """Import the modules that installed packages name in the group `arrive.plugins`.
+    """Import the modules that installed packages list in the entry-point group `arrive.plugins`.
 
     Raises:
-        ArriveError: one of them failed; names its package.
+        ArriveError: one of them failed; the message names its package.
     """
     for point in entry_points(group=GROUP):
         if point.value in _imported:
@@ -78,18 +78,18 @@ def import_packages() -> None:
         except Exception as error:  # whatever a package's module raises
             raise ArriveError(
                 f"the package {package} cannot be loaded (entry point {point.name!r} of {GROUP}): "
-                f"{type(error).__name__}: {error}. Mend or uninstall it."
+                f"{type(error).__name__}: {error}. Fix or uninstall it."
             ) from error
         _imported[point.value] = f"package {package}"
 
 
 def require(modules: dict[str, str], whose: Path) -> None:
-    """Make sure that the modules a run was made with are imported.
+    """Check that the plugin modules of a run are imported. They are never imported from the run's record alone.
 
     Raises:
-        ArriveError: one is not; says how to import it. A run's record alone must not run anything.
+        ArriveError: one is not imported; the message says how to import it.
     """
     for name, source in modules.items():
         if name not in _imported:
             option = f"--import {source}" if source.endswith(".py") or source == name else f"the {source}"
-            raise ArriveError(f"{whose} was made with the module {name!r}: add {option}")
+            raise ArriveError(f"{whose} needs the module {name!r}: add {option}")

@@ -1,4 +1,4 @@
-"""Named configurations, each a plain function that builds one afresh."""
+"""Named configurations. Each is a plain function that builds a new one."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,12 +20,12 @@ PAPER_REWARDS = PositionRewards(
     action_rate_cost=Cost(-0.01),
     foot_acc_cost=Cost(-4e-6),
 )
-"""Weights of the paper's terms; it gives none itself: the task's from the UWLab position tasks, the costs' from
-legged_gym."""
+"""Weights of the paper's terms. The paper gives none: the task weight is from the UWLab position tasks, the costs'
+weights are from legged_gym."""
 
 
 def paper() -> Config:
-    """The paper to the letter; where it is silent, legged_gym."""
+    """The paper to the letter, and legged_gym where the paper gives no value."""
     return Config(
         preset="paper",
         num_envs=4096,
@@ -35,7 +35,7 @@ def paper() -> Config:
 
 
 def robust() -> Config:
-    """What trained best on two cores; docs/presets.md says what differs from the paper and why."""
+    """The settings that trained best on two cores. docs/presets.md explains the differences from the paper."""
     return Config(
         preset="robust",
         num_envs=1024,
@@ -72,7 +72,7 @@ def robust() -> Config:
 
 
 def joystick() -> Config:
-    """For a policy that a stick leads: targets that change all the time, and pay for the speed that is asked for."""
+    """For a policy driven by a joystick: targets that change often, and a reward for walking at the commanded speed."""
     config = robust()
     task = replace(
         config.task,

@@ -1,4 +1,4 @@
-"""The configuration that a preset, a task, terrains and changes by name add up to."""
+"""Makes a configuration from a preset, a task, terrains and changes by name."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ CHOSEN = {
     "task.name": "--task",
     "terrain.families": "the names of terrains",
 }
-"""Fields that others follow from, and what chooses them."""
+"""Fields that determine other fields, and the option that sets them."""
 
 
 def make_config(
@@ -32,19 +32,19 @@ def make_config(
     robot: str | None = None,
     base: Config | None = None,
 ) -> Config:
-    """Put a configuration together; what is None stays as the preset has it.
+    """Make a configuration. Arguments that are None keep the preset's value.
 
     Args:
         overrides: PATH=VALUE, applied last.
-        robot: by name; lengths, masses and weights of the preset are fitted to its size.
-        base: what is changed in place of a preset, such as another run's configuration.
+        robot: name of the robot. The preset's lengths, masses and weights are scaled to its size.
+        base: configuration to change instead of a preset, such as another run's.
 
     Raises:
         ArriveError: an unknown name, or a value out of range.
     """
     for path, option in CHOSEN.items():
         if any(assignment.partition("=")[0].strip() == path for assignment in overrides):
-            raise ArriveError(f"{path} is not set by name: choose it with {option}")
+            raise ArriveError(f"{path} cannot be set with --set: choose it with {option}")
     config = base or get_preset(preset or DEFAULT_PRESET)
     config = replace(
         config,
@@ -56,7 +56,7 @@ def make_config(
     if base is None:
         config = for_robot(config, get_robot(robot or config.robot))
     config = override(config, overrides)
-    # Chosen once, so that a run keeps it wherever it goes on.
+    # Chosen once, so that a run resumed on another machine keeps it.
     config = replace(config, ppo=replace(config.ppo, precision=choose_precision(config.ppo.precision)))
     check(config)
     return config

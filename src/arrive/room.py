@@ -1,4 +1,4 @@
-"""How much memory is free, and whether so many of something fit into it."""
+"""Free memory, and a check that a number of items fits into it."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from arrive.errors import ArriveError
 
 
 def free_memory() -> float:
-    """Bytes that this process can still get, by the machine and its control group; infinite where nothing tells."""
+    """Memory that this process can still get, by the machine and its control group; infinite if unknown [bytes]."""
     return min(_machine_free(), *(_group_free(*files) for files in GROUPS))
 
 
@@ -14,7 +14,7 @@ GROUPS = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
     ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
 )
-"""Limit and use of a container's memory, in the two versions of Linux' control groups."""
+"""Files with limit and use of a container's memory, in the two versions of Linux control groups."""
 
 
 def _machine_free() -> float:
@@ -33,24 +33,24 @@ def _group_free(limit: str, use: str) -> float:
 
 
 def check_room(count: int, each: float, what: str, advice: str, fixed: float = 0.0) -> None:
-    """Make sure that so many of something fit into the memory that is free.
+    """Check that a number of items fits into free memory.
 
     Args:
-        count: how many are asked for.
-        each: bytes per piece.
-        what: the pieces, for the message, such as "robots".
-        advice: how to ask for fewer, such as "--num-envs".
-        fixed: bytes that are needed beside them.
+        count: number of items.
+        each: bytes per item.
+        what: name of the items, for the message, such as "robots".
+        advice: the option that reduces the number, such as "--num-envs".
+        fixed: bytes needed besides the items.
 
     Raises:
-        ArriveError: they do not; says how many do.
+        ArriveError: they do not fit; the message says how many would.
     """
-    # No number of pieces that a computer has is larger; integers may be too long for floating point.
+    # Limited, because a very large integer does not convert to a float.
     need, free = fixed + min(count, 10**18) * each, free_memory()
     if need <= free:
         return
     fitting = int(max(free - fixed, 0.0) // each)
     raise ArriveError(
         f"not enough memory for {count:,} {what}: about {need / 2**30:,.1f} GiB are needed and {free / 2**30:,.1f} GiB "
-        f"are free; {f'{fitting:,} fit, ' if fitting else ''}choose less with {advice}"
+        f"are free; {f'{fitting:,} fit, ' if fitting else ''}choose fewer with {advice}"
     )

@@ -1,4 +1,4 @@
-"""One simulated robot on one tile, without torch: what drives the deployment controller in place of a real one."""
+"""One simulated robot on one tile, without torch. The deployment controller can run on it instead of a real robot."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
 DROP = 0.02
 """Robots of ANYmal C's size start this much above standing height [m]."""
 FOOTPRINT = 0.6
-"""Half the edge of the square around a starting robot of that size whose highest point it is put above [m]."""
+"""Half the edge of a square around the start, for ANYmal C's size. The robot is placed above its highest point [m]."""
 MAP_HALF = 1.5
-"""Half the edge of the height map around the robot [m]; the corners of the largest preset's grid are 1.18 m away."""
+"""Half the edge of the height map around the robot [m]. The corners of the largest preset's grid are 1.18 m away."""
 FAR = 200.0
-"""Half the edge of ground that is continued beyond its tile [m]."""
+"""Half the edge of ground that is extended beyond its tile [m]."""
 TOUCH = 1e-6
-"""Blocks that end this near to the edge of the ground touch it [m]."""
+"""Tolerance for a block that ends at the edge of the ground [m]."""
 
 
 def continued(tile: Tile) -> Tile:
-    """The tile with the blocks at its edge drawn out to `FAR`, so that nobody who drives falls off it.
+    """The tile with the blocks at its edge extended to `FAR`, so that a driven robot does not fall off.
 
-    A tile is returned as it is where it has a height field, or a tilted block ends at its edge.
+    A tile with a height field, or with a tilted block at its edge, is returned unchanged.
     """
     if tile.height_field is not None:
         return tile
@@ -46,7 +46,7 @@ def continued(tile: Tile) -> Tile:
 
 
 def _drawn_out(box: Box) -> Box | None:
-    """The block drawn out where it touches the edge of the ground, or None where it is tilted there."""
+    """The block, extended if it touches the edge of the ground; None if it is tilted there."""
     center, half = np.array(box.center), np.array(box.half_size)
     turn = matrix(np.array(box.quat))
     for axis in (0, 1):
@@ -66,8 +66,8 @@ def _drawn_out(box: Box) -> Box | None:
 class SimulatedRobot:
     """A robot in MuJoCo with the physics of training, stepped at the policy's rate.
 
-    `model` and `data` are MuJoCo's own, to be drawn. After a step the bodies' places in `data` are one physics step
-    older than `qpos`; nothing but a picture sees the difference.
+    `model` and `data` are MuJoCo's own, for drawing. After a step, the body poses in `data` are one physics step older
+    than `qpos`. Only pictures use them.
     """
 
     def __init__(
@@ -81,11 +81,11 @@ class SimulatedRobot:
         """Compile the world and put the robot at the tile's origin, looking along x.
 
         Args:
-            config: names the robot and the physics options; nothing in it is random here.
-            tile: the ground, see `Ground.build`; `continued` gives it no edge.
+            config: gives the robot and the physics options. Its randomisation is not used.
+            tile: the ground, see `Ground.build`. `continued` removes its edge.
             friction: sliding friction of every contact.
             payload_kg: mass added to the base [kg].
-            visuals: whether to add the shapes that are only looked at.
+            visuals: whether to add the visual shapes.
 
         Raises:
             ArriveError: no such robot, or its actuator network cannot be used.
@@ -93,7 +93,7 @@ class SimulatedRobot:
         silence_mujoco()
         self.robot, self.tile = get_robot(config.robot), tile
         self.control_dt = config.physics.control_dt
-        """Time of one step [s]."""
+        """Length of one step [s]."""
         self.model = compile_world(self.robot, tile, config.physics, friction, payload_kg, visuals)
         self.data = mujoco.MjData(self.model)
         self._decimation = config.physics.decimation
@@ -107,7 +107,7 @@ class SimulatedRobot:
         """Stand the robot still at its default pose over the highest ground around `position`.
 
         Args:
-            position: of the base in the tile's frame [m].
+            position: horizontal position of the base in the tile's frame [m].
             yaw: heading [rad].
         """
         mujoco.mj_resetData(self.model, self.data)
@@ -120,7 +120,7 @@ class SimulatedRobot:
             self.data.ctrl[:] = qpos[7:]
         else:
             self._motors.reset(np.zeros(1, dtype=int))
-        # Only for pictures; a whole `mj_forward` would leave a warm start behind that training does not have.
+        # Only for pictures. `mj_forward` would leave a solver warm start that training does not have.
         mujoco.mj_kinematics(self.model, self.data)
         self._failed = False
 
@@ -139,12 +139,12 @@ class SimulatedRobot:
             self._failed = True
 
     def push(self, velocity: tuple[float, float]) -> None:
-        """Change the base's horizontal velocity at once by this much, in the world [m/s]."""
+        """Add this to the base's horizontal velocity, in the world frame [m/s]."""
         self.data.qvel[:2] += velocity
 
     @property
     def time_s(self) -> float:
-        """Since the last reset [s]."""
+        """Time since the last reset [s]."""
         return self.data.time
 
     @property
@@ -171,7 +171,7 @@ class SimulatedRobot:
 
     @property
     def fell(self) -> bool:
-        """Whether the base is lower than any of the tile's ground would let it be (as in `ArriveEnv`)."""
+        """Whether the base is below the tile's fall height (as in `ArriveEnv`)."""
         return bool(self.data.qpos[2] < self.tile.fall_height)
 
     @property
@@ -180,10 +180,10 @@ class SimulatedRobot:
         return bool(np.abs(self.data.qpos[:2]).max() > self._reach)
 
     def sensors(self, now_s: float | None = None) -> Sensors:
-        """What a perfect robot measures, for `Controller.step`.
+        """Measurements of a robot with perfect sensors, for `Controller.step`.
 
         Args:
-            now_s: on the controller's clock; `time_s` by default [s].
+            now_s: time on the controller's clock; default `time_s` [s].
         """
         qpos, qvel = self.data.qpos, self.data.qvel
         return Sensors(
@@ -197,12 +197,12 @@ class SimulatedRobot:
         )
 
     def height_map(self, now_s: float | None = None) -> HeightMap:
-        """The tile's raster around the robot, for `Controller.step`; beyond the raster its edge goes on."""
+        """The tile's raster around the robot, for `Controller.step`. Outside the raster, its edge values continue."""
         origin, heights = self._around(self.data.qpos[:2], MAP_HALF * max(self.robot.size, 1.0))
         return HeightMap(origin, RASTER_CELL, heights, self.time_s if now_s is None else now_s)
 
     def _around(self, position: np.ndarray | tuple[float, float], half: float) -> tuple[np.ndarray, np.ndarray]:
-        """Outer corner of the first cell [m] and heights of the cells in the square around a position."""
+        """Outer corner of the first cell, and heights of the cells in the square around a position [m]."""
         first = np.floor((np.nan_to_num(position) - half + RASTER_HALF) / RASTER_CELL).astype(int)
         cells = first[:, None] + np.arange(round(2 * half / RASTER_CELL) + 1)
         x, y = np.clip(cells, 0, RASTER_SIZE - 1)

@@ -1,8 +1,8 @@
-"""A configuration whose lengths, masses and weights are those of a robot of another size than ANYmal C.
+"""Scales a configuration to a robot of another size than ANYmal C.
 
-Presets give figures for ANYmal C. A robot of another size has the same task in dynamically similar motion (Froude): at
-lengths times s, speeds and the time of a step go with the root of s, angular accelerations with 1/s and torques with
-mass times s. What is about the task and not the robot (distances, episodes, the arrival radius) stays.
+Presets have values for ANYmal C. For another size they are scaled by dynamic similarity (Froude): with lengths scaled
+by s, speeds and step times scale with the square root of s, angular accelerations with 1/s, torques with mass times s.
+Values of the task (distances, episode lengths, arrival radius) are not scaled.
 """
 
 from dataclasses import replace
@@ -13,11 +13,11 @@ from arrive.task.final import PositionConfig
 from arrive.task.rewards import Cost
 
 DIGITS = 4
-"""Leading digits that fitted figures keep, for people to read."""
+"""Significant digits of scaled values, to keep them readable."""
 
 
 def for_robot(config: Config, robot: Robot) -> Config:
-    """The configuration with this robot, its figures fitted to the robot's size and mass; for ANYmal C unchanged."""
+    """The configuration for this robot, with values scaled to its size and mass. For ANYmal C nothing changes."""
     size, mass = robot.size, robot.mass_share
     observation, random, task = config.observation, config.randomisation, config.task
     heights, rewards = observation.heights, task.rewards
@@ -56,5 +56,5 @@ def for_robot(config: Config, robot: Robot) -> Config:
 
 
 def _scaled(value: float, factor: float) -> float:
-    """The product, rounded; the value itself where the factor is 1."""
+    """The product, rounded. If the factor is 1, the value itself."""
     return value if factor == 1.0 else float(f"{value * factor:.{DIGITS}g}")

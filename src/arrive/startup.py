@@ -1,14 +1,14 @@
-"""Ctrl-C while the program starts and ends.
+"""Handles Ctrl-C while the program starts and ends.
 
-Loading libraries takes seconds. A KeyboardInterrupt in the middle of an import is no help: libraries in C turn it into
-errors of their own, and there is nothing yet that could be saved. So the program leaves at once then, with one line.
+Loading libraries takes seconds. A KeyboardInterrupt during an import does not work well, because C libraries turn it
+into errors of their own. There is nothing to save at that time, so the program exits at once with one line.
 """
 
 import os
 import signal
 
 INTERRUPTED = 130
-"""Exit status of a program that Ctrl-C ended, as shells have it: 128 and the signal's number."""
+"""Exit status after Ctrl-C, as in shells: 128 plus the signal number."""
 
 
 def _leave(number: int, frame: object) -> None:
@@ -17,11 +17,11 @@ def _leave(number: int, frame: object) -> None:
 
 
 def leave_at_once() -> None:
-    """Let Ctrl-C end the process without more ado."""
+    """Make Ctrl-C end the process at once."""
     signal.signal(signal.SIGINT, _leave)
 
 
 def interrupt_again() -> None:
-    """Let Ctrl-C raise KeyboardInterrupt again, where `leave_at_once` was called."""
+    """Make Ctrl-C raise KeyboardInterrupt again, if `leave_at_once` was called."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)

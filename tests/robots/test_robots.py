@@ -181,7 +181,7 @@ class TestGo2:
 
 
 def test_a_robot_is_not_chosen_past_its_sizes():
-    with pytest.raises(ArriveError, match=r"robot is not set by name: choose it with --robot"):
+    with pytest.raises(ArriveError, match=r"robot cannot be set with --set: choose it with --robot"):
         make_config(parse_families("flat"), overrides=("robot=go2",))
     assert make_config(parse_families("flat"), robot="go2").robot == "go2"
 
