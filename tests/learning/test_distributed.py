@@ -74,7 +74,7 @@ def test_a_resumed_run_of_two_processes_goes_on_bit_for_bit(folder):
         assert torch.equal(*result["observations"])
         assert result["samples"] == 2 * 2 * CONFIG.num_envs * CONFIG.ppo.num_steps
     assert not torch.equal(results[0]["observations"][0], results[1]["observations"][0])
-    with pytest.raises(ArriveError, match="made by 2 processes: resume it with as many"):
+    with pytest.raises(ArriveError, match="made by 2 processes: resume with the same number"):
         make_trainer(join_ranks(torch.device("cpu")), folder / "resume" / "parts").load()
 
 

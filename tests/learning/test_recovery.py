@@ -94,7 +94,7 @@ def test_what_comes_back_for_ever_ends_the_run(tmp_path, iteration):
         recover(error)
 
     trainer.recovery.go_back = counting
-    with pytest.raises(ArriveError, match=rf"task in environments 3; it came back {MAX_RECOVERIES} times.*dump_"):
+    with pytest.raises(ArriveError, match=rf"task in environments 3, again after {MAX_RECOVERIES} attempts.*dump_"):
         run(trainer, 5)
     assert len(tries) == MAX_RECOVERIES + 1
 

@@ -155,14 +155,14 @@ LOG_DAMAGE = {
         lambda rows: [rows[0], rows[2], rows[1], rows[3]],
         "line 3: iteration 1 does not come after 2",
     ),
-    "a value missing": (lambda rows: [*rows[:2], rows[2].rpartition(",")[0], rows[3]], "line 3: .* values where"),
-    "a value too many": (lambda rows: [*rows[:2], rows[2] + ",1", rows[3]], "line 3: .* values where"),
+    "a value missing": (lambda rows: [*rows[:2], rows[2].rpartition(",")[0], rows[3]], "line 3: it has .* values"),
+    "a value too many": (lambda rows: [*rows[:2], rows[2] + ",1", rows[3]], "line 3: it has .* values"),
     "a word for a number": (lambda rows: [*rows[:3], rows[3].rpartition(",")[0] + ",much"], "line 4: .*not 'much'"),
     "no whole iteration": (lambda rows: [*rows[:3], "2.5" + rows[3][1:]], "line 4: the iteration must be"),
-    "an empty line": (lambda rows: [*rows[:2], "", *rows[2:]], "line 3: 0 values where"),
+    "an empty line": (lambda rows: [*rows[:2], "", *rows[2:]], "line 3: it has 0 values"),
     "an open quote": (lambda rows: [*rows[:2], '"' + rows[2], rows[3]], "line 3"),
-    "a name twice": (lambda rows: [rows[0] + ",iteration", *rows[1:]], "no log of arrive"),
-    "another file": (lambda rows: ["hello, world"], "no log of arrive"),
+    "a name twice": (lambda rows: [rows[0] + ",iteration", *rows[1:]], "not a log of arrive"),
+    "another file": (lambda rows: ["hello, world"], "not a log of arrive"),
 }
 
 
@@ -193,10 +193,10 @@ def test_rows_after_the_checkpoint_are_dropped(run):
 def test_a_log_that_is_gone_begins_anew_and_says_so(run, capsys):
     (run / "log.csv").unlink()
     resume(run, 5)
-    assert "log.csv is gone: the log begins anew at iteration 4" in capsys.readouterr().out
+    assert "log.csv is missing: a new log starts at iteration 4" in capsys.readouterr().out
     assert read_log(run)["iteration"] == [4, 5]
     resume(run, 6)
-    assert "begins at iteration 4: what was before is missing" in capsys.readouterr().out
+    assert "starts at iteration 4: earlier rows are missing" in capsys.readouterr().out
     assert read_log(run)["iteration"] == [4, 5, 6]
 
 
@@ -236,7 +236,7 @@ def test_a_log_that_somebody_touches_while_training_ends_it(run, refused, monkey
     touch = path.unlink if what == "removed" else lambda: path.write_text(path.read_text() + "more")
     do_at_iteration(monkeypatch, 5, touch)
     message = refused(resume, run, 9)
-    assert f"log.csv was {what} while training" in message
+    assert f"log.csv was {what} during training" in message
     assert f"--resume {run}" in message
 
 

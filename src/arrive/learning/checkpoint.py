@@ -1,4 +1,4 @@
-"""Checkpoint and policy files: sealed with a digest, checked when read; nothing in them is executed."""
+"""Checkpoint and policy files. A digest in the file is checked when it is read, and nothing in it is executed."""
 
 import hashlib
 import io
@@ -18,51 +18,51 @@ from arrive.files import read_bytes, write_bytes
 from arrive.policies import POLICY_NAME
 
 FORMAT = 2
-"""Version of the files' layout."""
+"""Version of the file format."""
 CHECKPOINT_NAME = "checkpoint.pt"
 SEAL = b"arrive sha256 "
-"""A file ends with this and the hexadecimal SHA-256 of all bytes before: the comment of the zip that torch writes."""
+"""A file ends with this and the hexadecimal SHA-256 of all bytes before it, as the comment of torch's zip file."""
 DIGEST_BYTES = 64
 WEIGHT_TYPE = torch.float32
-"""Of every weight and of the optimiser's averages."""
+"""Type of every weight and of the optimiser's moments."""
 MAP_TYPE = torch.int64
 MAPS = ("facing.observation_index", "facing.action_index", "facing.side")
-"""The tensors of a symmetric network that say what takes from where."""
+"""The index tensors of a symmetric network. They are integers."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What a checkpoint or policy file says about itself."""
+    """Where a checkpoint or policy file comes from."""
 
     robot: str
     config: Config
     schema: list[dict[str, Any]]
-    """Rows of the observation that the networks read, see `Observer.schema`."""
+    """Terms of the observation that the networks use, see `Observer.schema`."""
     commit: str
-    """Of the code that trained it."""
+    """Commit of the code that trained it."""
     iteration: int
     samples: int
     """Policy steps it was trained for."""
 
     def content(self) -> dict[str, Any]:
-        """As plain data, the way it stands in a file."""
+        """As plain data, as stored in a file."""
         return {"format": FORMAT, **vars(self), "config": to_dict(self.config)}
 
 
 def seal(data: bytes) -> bytes:
-    """A zip file without a comment, as torch writes it, with its digest as the comment."""
+    """Add the digest of a zip file without a comment, as torch writes it, as its comment."""
     body = data[:-2] + struct.pack("<H", len(SEAL) + DIGEST_BYTES) + SEAL
     return body + hashlib.sha256(body).hexdigest().encode()
 
 
 def is_sealed(data: bytes) -> bool:
-    """Whether the file ends with the digest of its other bytes: no bit has changed since it was written."""
+    """Whether the file ends with the digest of its other bytes, so that no bit has changed since it was written."""
     body, digest = data[:-DIGEST_BYTES], data[-DIGEST_BYTES:]
     return body.endswith(SEAL) and hashlib.sha256(body).hexdigest().encode() == digest
 
 
 def save_sealed(content: dict[str, Any], path: Path) -> None:
-    """Write tensors and plain data with a digest, whole or not at all.
+    """Write tensors and plain data with a digest, atomically.
 
     Raises:
         ArriveError: the folder cannot be written or the disk is full.
@@ -73,10 +73,10 @@ def save_sealed(content: dict[str, Any], path: Path) -> None:
 
 
 def load_policy_file(path: Path) -> tuple[Origin, dict[str, Tensor]]:
-    """Where a policy comes from, and its actor's weights.
+    """Read the origin of a policy and its actor's weights.
 
     Raises:
-        ArriveError: missing, damaged, foreign, a training checkpoint, or a weight that is not a finite number.
+        ArriveError: the file is missing, damaged, not from arrive or a training checkpoint, or a weight is not finite.
     """
     origin, content = _load(path)
     if "actor" not in content:
@@ -86,14 +86,14 @@ def load_policy_file(path: Path) -> tuple[Origin, dict[str, Tensor]]:
 
 
 def load_checkpoint(path: Path) -> tuple[Origin, dict[str, Any]]:
-    """Where a training checkpoint comes from, and the state of the training.
+    """Read the origin of a training checkpoint and the state of the training.
 
     Raises:
-        ArriveError: missing, damaged, foreign, a policy alone, or a weight that is not a finite number.
+        ArriveError: the file is missing, damaged, not from arrive or only a policy, or a weight is not finite.
     """
     origin, content = _load(path)
     if "state" not in content:
-        raise ArriveError(f"{path} is a policy, not a training checkpoint; it can be neither resumed nor started from")
+        raise ArriveError(f"{path} is a policy, not a training checkpoint; training cannot resume or start from it")
     state = content["state"]
     if not isinstance(state, dict) or not isinstance(state.get("algorithm"), dict):
         raise _foreign(path, "it has no networks")
@@ -102,7 +102,7 @@ def load_checkpoint(path: Path) -> tuple[Origin, dict[str, Any]]:
 
 
 def _load(path: Path) -> tuple[Origin, dict[str, Any]]:
-    """A file's origin and all that is in it."""
+    """A file's origin and its content."""
     path = Path(path)
     if not os.path.lexists(path):
         raise ArriveError(f"there is no file {path}")
@@ -114,14 +114,14 @@ def _load(path: Path) -> tuple[Origin, dict[str, Any]]:
         )
     try:
         content = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
-    except Exception as error:  # whatever foreign bytes make torch and its unpickler raise
+    except Exception as error:  # on unknown bytes, torch and its unpickler may raise anything
         raise _foreign(path, type(error).__name__) from error
     return _origin(content, path), content
 
 
 def _origin(content: Any, path: Path) -> Origin:
     if not isinstance(content, dict) or "format" not in content:
-        raise _foreign(path, "it says no format")
+        raise _foreign(path, "it has no format")
     if content["format"] != FORMAT:
         raise ArriveError(
             f"{path} was made by another version of arrive (checkpoint format {content['format']!r}, this version "
@@ -142,10 +142,10 @@ def _foreign(path: Path, why: str) -> ArriveError:
 
 
 def _check_weights(weights: Any, path: Path) -> None:
-    """Make sure that every tensor is float32 and finite.
+    """Check that every tensor is float32 and finite.
 
     Raises:
-        ArriveError: names the first that is not.
+        ArriveError: names the first tensor that is not.
     """
     if not isinstance(weights, Mapping) or not weights:
         raise _foreign(path, "it has no weights")
@@ -158,7 +158,7 @@ def _check_weights(weights: Any, path: Path) -> None:
 
 
 def _tensors(value: Any, name: str = "") -> Iterator[tuple[str, Tensor]]:
-    """Every tensor of nested data, with its path."""
+    """Every tensor in nested data, with its path."""
     if isinstance(value, Tensor):
         yield name, value
     elif isinstance(value, Mapping):
@@ -167,10 +167,10 @@ def _tensors(value: Any, name: str = "") -> Iterator[tuple[str, Tensor]]:
 
 
 def check_fits(origin: Origin, robot: str, schema: list[dict[str, Any]], path: Path) -> None:
-    """Make sure that networks of this origin fit a robot and what is observed of it.
+    """Check that networks of this origin fit a robot and its observation.
 
     Raises:
-        ArriveError: another robot or observation.
+        ArriveError: they are for another robot or observation.
     """
     if origin.robot != robot:
         raise ArriveError(f"{path} was trained for the robot {origin.robot!r}, not {robot!r}")
@@ -178,17 +178,17 @@ def check_fits(origin: Origin, robot: str, schema: list[dict[str, Any]], path: P
 
 
 def check_schema(saved: list[dict[str, Any]], present: list[dict[str, Any]], path: Path) -> None:
-    """Make sure a policy reads the observation it was trained on.
+    """Check that a policy gets the observation it was trained on.
 
     Raises:
-        ArriveError: the schemas differ; the message names the first term that does.
+        ArriveError: the schemas differ; the message names the first term that differs.
     """
     for ours, theirs in zip(present, saved, strict=False):
         if ours != theirs:
             keys = [key for key in ours if ours[key] != theirs.get(key)]
             raise ArriveError(
-                f"{path} was trained on another observation: term {theirs.get('name')!r} there, {ours['name']!r} here, "
-                f"differs in {', '.join(keys)}. Use the configuration and version it was trained with."
+                f"{path} was trained on another observation: its term {theirs.get('name')!r} and {ours['name']!r} here "
+                f"differ in {', '.join(keys)}. Use the configuration and version it was trained with."
             )
     if len(saved) != len(present):
         raise ArriveError(

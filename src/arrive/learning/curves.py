@@ -1,4 +1,4 @@
-"""The curves of a run as one picture, drawn from its log."""
+"""Draws the curves of a run from its log as one picture."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -24,8 +24,8 @@ Log = dict[str, np.ndarray]
 def plot_curves(folder: Path) -> Path:
     """Draw `curves.png` into a run's folder from its `log.csv` and return its path.
 
-    Arrival, terrain levels, rewards and every learning figure over samples; while the exploration reward was paid the
-    background is shaded. Strong lines are running means, faint ones the values of each iteration.
+    The picture shows success rate, terrain levels, rewards and all learning metrics over samples. The background is
+    shaded while the exploration reward was paid. Strong lines are moving averages, faint ones single iterations.
 
     Raises:
         ArriveError: the folder has no log, or the picture cannot be written.
@@ -39,7 +39,7 @@ def plot_curves(folder: Path) -> Path:
 
 
 def _draw(log: Log) -> Figure:
-    """Wide panels above each other, their legends on the right, and below them the learning figures."""
+    """Wide panels above each other with legends on the right, and the learning metrics below."""
     small = _group(log, "learning/")
     rows = -(-len(small) // SMALL_COLUMNS)
     colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(_group(log, "arrival/"))}
@@ -71,19 +71,19 @@ def _panel(figure: Figure, place: SubplotSpec, log: Log, draw: Callable[[Axes], 
 
 
 def _arrival(axes: Axes, log: Log, colors: dict[str, str]) -> None:
-    axes.set_title("arrival, share of finished episodes [%]")
+    axes.set_title("success rate, share of finished episodes [%]")
     for name, values in _group(log, "arrival/").items():
         color, width = ("black", 2.4) if name == "all" else (colors[name], 1.5)
         _curve(axes, log, 100 * values, name, color, width=width)
     fraction = log.get("exploration/task_fraction")
     if fraction is not None:
-        axes.plot(_samples(log), 100 * fraction, ":", color="0.45", label="task reward (of its maximum)")
+        axes.plot(_samples(log), 100 * fraction, ":", color="0.45", label="task reward (% of maximum)")
     axes.set_ylim(0, 100)
     _legend(axes)
 
 
 def _climbing(log: Log) -> Log:
-    """Levels of the families that have left their first; one with a single level never does."""
+    """Levels of the families that have left their first level. A family with a single level never does."""
     return {name: values for name, values in _group(log, "level/").items() if np.nanmax(values, initial=0.0) > 0}
 
 
@@ -150,7 +150,7 @@ def _legend(axes: Axes) -> None:
 
 
 def _finite(values: list[float]) -> np.ndarray:
-    """NaN, which is not drawn, in place of what is infinite, which cannot be."""
+    """The values with infinities replaced by NaN, which matplotlib leaves out."""
     array = np.asarray(values, dtype=float)
     return np.where(np.isfinite(array), array, np.nan)
 
@@ -160,12 +160,12 @@ def _samples(log: Log) -> np.ndarray:
 
 
 def _group(log: Log, prefix: str) -> Log:
-    """The columns of one group without their prefix."""
+    """The columns of one group, without the prefix."""
     return {name.removeprefix(prefix): values for name, values in log.items() if name.startswith(prefix)}
 
 
 def _running_mean(values: np.ndarray) -> np.ndarray:
-    """Centred mean over a fiftieth of the run, of the finite values in it; NaN where the value is."""
+    """Centred moving average of the finite values over a fiftieth of the run; NaN where the value itself is NaN."""
     window = max(1, len(values) // 50)
     finite = np.isfinite(values)
     kernel = np.ones(window)

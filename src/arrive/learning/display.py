@@ -1,4 +1,4 @@
-"""What a training run shows while it runs: a live panel in a terminal, a line now and then anywhere else."""
+"""Shows the progress of training: a live panel in a terminal, otherwise a line from time to time."""
 
 import math
 import time
@@ -21,12 +21,12 @@ from arrive.task.curriculum import FOUND
 BARS = "▁▂▃▄▅▆▇█"
 ASCII_BARS = "_.:-=+*#"
 MAX_BARS = 24
-"""A histogram of more levels than this pools neighbours."""
+"""A histogram with more levels than this merges neighbouring levels."""
 TOP_FAILURES = 4
 
 
 class TrainingDisplay:
-    """Context manager that shows each report; a terminal that fails ends the display, never the training."""
+    """Context manager that shows each report. If the terminal fails, the display ends and training continues."""
 
     def __init__(self, title: str, folder: Path | str, console: Console | None = None, line_every_s: float = 10.0):
         """
@@ -34,7 +34,7 @@ class TrainingDisplay:
             title: robot, terrain and preset.
             folder: the run's folder.
             console: where to write; standard output by default.
-            line_every_s: shortest time between two lines when the output is no terminal [s].
+            line_every_s: shortest time between two lines if the output is not a terminal [s].
         """
         self._title, self._folder = title, str(folder)
         self._console = console or Console()
@@ -47,7 +47,7 @@ class TrainingDisplay:
 
     def __enter__(self) -> "TrainingDisplay":
         if self._console.is_terminal:
-            # Refreshed by `update` alone: a thread would take time from the physics.
+            # Only `update` refreshes it: a refresh thread would take time from the physics.
             self._live = Live(console=self._console, auto_refresh=False)
             self._live.start()
         else:
@@ -114,7 +114,7 @@ def plain_line(report: IterationReport) -> str:
 
 
 def panel(report: IterationReport, title: str, folder: str, bars: str = BARS) -> Panel:
-    """One iteration as a panel that fits any width from 80 columns on."""
+    """One iteration as a panel for terminals of at least 80 columns."""
     parts: list[RenderableType] = [_progress(report), _summary(report)]
     parts += [Text(f"warning: {text}", "bold red") for text in report.warnings.values()]
     if report.families:
@@ -132,7 +132,7 @@ def panel(report: IterationReport, title: str, folder: str, bars: str = BARS) ->
 
 
 def exploration_state(report: IterationReport) -> str:
-    """Whether the exploration reward (paper, eq. 3) is still paid, and what it waits for."""
+    """Whether the exploration reward (paper, eq. 3) is still paid, and until when."""
     if not report.exploration_paid:
         return "removed"
     where = "paid" if report.exploration_paid == 1.0 else f"paid to {_percent(report.exploration_paid)} of the robots"
@@ -141,7 +141,7 @@ def exploration_state(report: IterationReport) -> str:
 
 
 def level_bars(levels: tuple[int, ...], bars: str = BARS) -> Text:
-    """Histogram of robots per level, lowest level first; the lowest bar, dimmed, means that there are none."""
+    """Histogram of robots per level, lowest level first. A dimmed bar of the lowest height means no robots."""
     pool = math.ceil(len(levels) / MAX_BARS)
     counts = [sum(levels[start : start + pool]) for start in range(0, len(levels), pool)]
     top, steps = max(counts, default=0), len(bars) - 1
@@ -176,7 +176,7 @@ def _families(families: dict[str, FamilyReport], bars: str) -> Table:
     table.add_column("arrival", justify="right", no_wrap=True)
     table.add_column("mean level", justify="right", no_wrap=True)
     table.add_column("robots by level", no_wrap=True)
-    table.add_column("fails most by", no_wrap=True)
+    table.add_column("main failures", no_wrap=True)
     for name, family in families.items():
         if len(family.levels) > 1:
             level = [f"{family.mean_level:.1f} of {len(family.levels) - 1}", level_bars(family.levels, bars)]
@@ -219,7 +219,7 @@ def _clock(seconds: float) -> str:
 
 
 def count(number: int) -> str:
-    """A number with three digits and its unit: 983.04 k."""
+    """A number with its prefix, such as 983.04 k."""
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if number >= size:
             return f"{number / size:.2f} {unit}"

@@ -1,4 +1,4 @@
-"""Stops learning from NaN and infinity: finds the term and the environments, and keeps the evidence."""
+"""Stops training on NaN or infinity, names the term and the environments, and saves a dump."""
 
 import math
 from pathlib import Path
@@ -20,10 +20,10 @@ class NonFiniteError(Exception):
 
 
 def check_terms(kind: str, terms: dict[str, Tensor]) -> None:
-    """Make sure that per-environment values are finite.
+    """Check that per-environment values are finite.
 
     Args:
-        terms: name to (num_envs, ...) values.
+        terms: (num_envs, ...) values by name.
 
     Raises:
         NonFiniteError: names the terms and the environments.
@@ -36,7 +36,7 @@ def check_terms(kind: str, terms: dict[str, Tensor]) -> None:
 
 
 def check_losses(losses: dict[str, float], parameters: dict[str, Tensor]) -> None:
-    """Make sure that an update left finite losses and networks.
+    """Check that losses and networks are finite after an update.
 
     Raises:
         NonFiniteError: names the losses and parameters.
@@ -48,7 +48,7 @@ def check_losses(losses: dict[str, float], parameters: dict[str, Tensor]) -> Non
 
 
 def save_dump(folder: Path, iteration: int, error: NonFiniteError, state: dict) -> Path:
-    """Keep what went wrong for a person to look at."""
+    """Save the non-finite values and the last good state for debugging."""
     path = folder / f"dump_{iteration}.pt"
     save_sealed({"what": str(error), "values": error.tensors, "state": state}, path)
     return path
@@ -61,5 +61,5 @@ def _listed(mask: Tensor) -> str:
 
 
 def all_finite(*tensors: Tensor) -> bool:
-    """Whether all values are finite, by one cheap reduction each."""
+    """Whether all values are finite. Tests only the sum of each tensor, which is cheap."""
     return all(bool(torch.isfinite(tensor.sum())) for tensor in tensors)

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM that wait for the end of an iteration, so that what is saved can be resumed exactly."""
+"""Delays Ctrl-C and SIGTERM to the end of an iteration, so that the saved run can be resumed exactly."""
 
 import signal
 import threading
@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells whether to stop; a second signal stops at once by KeyboardInterrupt.
+    """Yield a function that returns whether to stop. A second signal raises KeyboardInterrupt at once.
 
-    Outside the main thread, where Python delivers no signals, it never tells to stop.
+    Outside the main thread, where Python delivers no signals, the function always returns False.
     """
     caught: list[int] = []
 

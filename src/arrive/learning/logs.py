@@ -1,4 +1,4 @@
-"""The log of a run: `log.csv`, one row per iteration, and the same figures for TensorBoard."""
+"""The log of a run: `log.csv`, one row per iteration, and the same values for TensorBoard."""
 
 import csv
 import importlib.util
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LOG_NAME = "log.csv"
 TENSORBOARD_NAME = "tensorboard"
 PROJECT = "arrive"
-"""Project of the runs on Weights & Biases."""
+"""Project name on Weights & Biases."""
 
 Row = dict[str, str]
 
@@ -30,10 +30,10 @@ class RunLog:
     def __init__(self, folder: Path, logger: str = "tensorboard"):
         """
         Args:
-            logger: `tensorboard`, or `wandb` for TensorBoard and Weights & Biases by rsl_rl's writer.
+            logger: `tensorboard`, or `wandb` for both TensorBoard and Weights & Biases, with rsl_rl's writer.
 
         Raises:
-            ArriveError: the folder cannot be written, or holds a damaged log, or wandb is not installed.
+            ArriveError: the folder cannot be written, its log is damaged, or wandb is not installed.
         """
         if logger == "wandb" and not has_wandb():
             raise ArriveError("--logger wandb needs Weights & Biases: pip install wandb")
@@ -51,15 +51,15 @@ class RunLog:
             raise cannot_write(self._folder, error) from error
         if self._path.exists():
             self._columns, rows = _read_rows(self._path)
-            self._rewrite(rows)  # without the half line that a killed process may have left
+            self._rewrite(rows)  # drops an incomplete last line, which a killed process may have left
 
     def write(self, report: IterationReport) -> None:
-        """Append one iteration; a figure seen for the first time becomes a new column, empty in earlier rows.
+        """Append one iteration. A new metric becomes a new column, empty in earlier rows.
 
-        An iteration not after the last one means that training went back: what was logged since is dropped.
+        If the iteration is not later than the last one, training went back, and the rows from it on are dropped.
 
         Raises:
-            ArriveError: the disk is full, the folder cannot be written, or somebody else has changed the log.
+            ArriveError: the disk is full, the folder cannot be written, or another process has changed the log.
         """
         self._check_ours()
         try:
@@ -73,11 +73,11 @@ class RunLog:
         self._last = report.iteration
 
     def _check_ours(self) -> None:
-        """Make sure that the file is as the last row left it."""
+        """Check that nobody else has changed the file since the last row."""
         size = self._path.stat().st_size if self._path.exists() else None
         if size != self._size:
             what = "removed" if size is None else "changed"
-            raise ArriveError(f"{self._path} was {what} while training; training ends, --resume {self._folder} goes on")
+            raise ArriveError(f"{self._path} was {what} during training; continue with --resume {self._folder}")
 
     def _append(self, iteration: int, scalars: dict[str, float]) -> None:
         row = {"iteration": str(iteration)} | {name: repr(float(value)) for name, value in scalars.items()}
@@ -93,34 +93,32 @@ class RunLog:
         self._size += len(data)
 
     def resume_at(self, iteration: int) -> None:
-        """Go on after a checkpoint's iteration: drop what was logged after it.
-
-        Without a file the log begins anew.
+        """Continue after a checkpoint's iteration: drop later rows. If there is no file, start a new log.
 
         Raises:
-            ArriveError: rows up to there are missing.
+            ArriveError: earlier rows are missing.
         """
         if self._size is not None:
             self._check_complete(iteration)
         elif iteration:
-            print(f"{self._path} is gone: the log begins anew at iteration {iteration + 1}")
+            print(f"{self._path} is missing: a new log starts at iteration {iteration + 1}")
         self.truncate_after(iteration)
 
     def _check_complete(self, iteration: int) -> None:
-        """Make sure that no row is missing up to a checkpoint's iteration; say so where only the first ones are."""
+        """Check that no row before a checkpoint's iteration is missing. Only print a note if the first rows are."""
         numbers = [number for row in _read_rows(self._path)[1] if (number := int(row["iteration"])) <= iteration]
         expected = range(numbers[0] if numbers else 1, iteration + 1)
         missing = sorted(set(expected) - set(numbers))
         if missing:
             raise ArriveError(
-                f"{self._path} has no row for iteration {missing[0]}, but the checkpoint is of iteration {iteration}. "
-                f"Put the whole file back, or delete it: the log then begins at {iteration + 1}."
+                f"{self._path} has no row for iteration {missing[0]}, but the checkpoint is at iteration {iteration}. "
+                f"Restore the file, or delete it: a new log then starts at {iteration + 1}."
             )
         if expected.start > 1 and numbers:
-            print(f"{self._path} begins at iteration {expected.start}: what was before is missing")
+            print(f"{self._path} starts at iteration {expected.start}: earlier rows are missing")
 
     def truncate_after(self, iteration: int) -> None:
-        """Drop what was logged after `iteration`."""
+        """Drop all rows after `iteration`."""
         self.close()
         self._purge_step = iteration + 1
         if self._size is not None:
@@ -128,7 +126,7 @@ class RunLog:
             self._rewrite([row for row in rows if int(row["iteration"]) <= iteration])
 
     def flush(self) -> None:
-        """Bring the log to the disk, so that no checkpoint is ever ahead of it.
+        """Write the log to disk, so that no checkpoint is ever ahead of it.
 
         Raises:
             ArriveError: the disk is full or gone.
@@ -143,7 +141,7 @@ class RunLog:
             raise cannot_write(self._path, error) from error
 
     def close(self) -> None:
-        """Flush and close the event file; a later `write` opens a new one."""
+        """Flush and close the event file. A later `write` opens a new one."""
         events, self._events = self._events, None
         if events is not None:
             try:
@@ -160,25 +158,25 @@ class RunLog:
         if self._events is None:
             self._events = self._open_events()
         for name, value in scalars.items():
-            if math.isfinite(value):  # a NaN is an arrival rate before the first episode has ended
+            if math.isfinite(value):  # the success rate is NaN before the first episode has ended
                 self._events.add_scalar(name, value, report.iteration)
         for name in report.warnings.keys() - self._warned:
             self._events.add_text(f"warnings/{name}", report.warnings[name], report.iteration)
         self._warned = set(report.warnings)
 
     def describe(self, config: Config) -> None:
-        """Tell Weights & Biases the run's configuration, where it is used."""
+        """Send the run's configuration to Weights & Biases, if it is used."""
         if self._logger == "wandb":
             self._events = self._open_events()
             self._events.store_config(config, {})
 
     def _open_events(self) -> "SummaryWriter":
-        # Imported on use: it takes seconds, which `arrive report` need not wait for.
+        # Imported here because it takes seconds and `arrive report` does not need it.
         folder = self._folder / TENSORBOARD_NAME
         if self._logger == "wandb":
             from rsl_rl.utils.wandb_log_writer import WandbLogWriter
 
-            # It calls its run by the name of this folder.
+            # The writer uses the folder's name as the run's name.
             return WandbLogWriter(str(folder / self._folder.resolve().name), PROJECT)
         from torch.utils.tensorboard import SummaryWriter
 
@@ -191,14 +189,14 @@ def has_wandb() -> bool:
 
 
 def read_log(folder: Path) -> dict[str, list[float]]:
-    """Every column of a run's `log.csv`, all of one length; NaN where an iteration did not report the figure.
+    """Every column of a run's `log.csv`, all of the same length. Missing values are NaN.
 
     Raises:
-        ArriveError: the folder has no log, or a damaged one.
+        ArriveError: the log is missing or damaged.
     """
     path = Path(folder) / LOG_NAME
     if not path.exists():
-        raise ArriveError(f"{folder} has no {LOG_NAME}; is it the folder of a run?")
+        raise ArriveError(f"{folder} has no {LOG_NAME}; is it a run folder?")
     columns, rows = _read_rows(path)
     return {name: [float(row[name] or "nan") for row in rows] for name in columns}
 
@@ -213,30 +211,30 @@ def _csv_text(columns: list[str], rows: list[Row], header: bool) -> str:
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[Row]]:
-    """Columns and complete rows; a last line without its end was cut off with the process that wrote it.
+    """Columns and complete rows. An incomplete last line, left by a killed process, is ignored.
 
     Raises:
-        ArriveError: not such a log; names the line that is wrong.
+        ArriveError: it is not a log of arrive; the message names the faulty line.
     """
     text = read_text(path)
     lines = text[: text.rfind("\n") + 1].split("\n")[:-1]
     columns = _cells(lines[0]) if lines else ["iteration"]
     if columns[0] != "iteration" or len(set(columns)) != len(columns):
-        raise ArriveError(f"{path} is no log of arrive: its first line must be iteration and other names, once each")
+        raise ArriveError(f"{path} is not a log of arrive: its first line must be iteration and other unique names")
     rows, last = [], 0
     for number, line in enumerate(lines[1:], start=2):
         cells = _cells(line)
         row = dict(zip(columns, cells, strict=False))
         problem = _problem(row, len(cells), columns, last)
         if problem:
-            raise ArriveError(f"{path}, line {number}: {problem}. Put a whole file back, or delete this one.")
+            raise ArriveError(f"{path}, line {number}: {problem}. Restore the file from a copy, or delete it.")
         rows.append(row)
         last = int(row["iteration"])
     return columns, rows
 
 
 def _cells(line: str) -> list[str]:
-    """The values of one line; a single empty one where it is no CSV."""
+    """The values of one line; a single empty value if it is not CSV."""
     try:
         return next(csv.reader([line], strict=True), [""])
     except csv.Error:
@@ -244,11 +242,11 @@ def _cells(line: str) -> list[str]:
 
 
 def _problem(row: Row, cells: int, columns: list[str], last: int) -> str | None:
-    """What is wrong with a row of the log, if anything."""
+    """The fault of a row of the log, or None."""
     if cells != len(columns):
-        return f"{cells} values where the first line has {len(columns)} names"
+        return f"it has {cells} values, but the first line has {len(columns)} names"
     if not (row["iteration"].isascii() and row["iteration"].isdigit() and len(row["iteration"]) < 16):
-        return f"the iteration must be a whole number, not {row['iteration']!r:.60}"
+        return f"the iteration must be an integer, not {row['iteration']!r:.60}"
     if int(row["iteration"]) <= last:
         return f"iteration {row['iteration']} does not come after {last}"
     for name, value in row.items():

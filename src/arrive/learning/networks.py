@@ -1,4 +1,4 @@
-"""The networks of actor and critic: rsl_rl's, with the precision and the symmetry of the configuration."""
+"""The networks of actor and critic: rsl_rl's, with the configured precision and symmetry."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 class MixedPrecision(nn.Sequential):
-    """Layers of which all but the last compute in bfloat16; weights and output stay float32.
+    """Layers that compute in bfloat16, except the last one. Weights and output stay float32.
 
-    Data are collected with these networks too, so that old and new probabilities of an action are rounded alike.
+    Rollouts use these networks too, so that the old and new probability of an action are rounded in the same way.
     """
 
     def forward(self, x: Tensor) -> Tensor:
@@ -31,10 +31,10 @@ class MixedPrecision(nn.Sequential):
 
 
 class Facing(nn.Module):
-    """Reflects observations so that the command leads forwards and to the left, and actions back."""
+    """Reflects observations so that the command points forward and to the left, and reflects the actions back."""
 
     def __init__(self, count: int, observation_size: int, num_actions: int):
-        """Make room for the maps of this many reflections; `set` or a state dict fills it."""
+        """Allocate the maps of this many reflections. `set` or a state dict fills them."""
         super().__init__()
         for name, size in (("observation", observation_size), ("action", num_actions)):
             self.register_buffer(f"{name}_index", torch.zeros(count, size, dtype=torch.long))
@@ -42,13 +42,13 @@ class Facing(nn.Module):
         self.register_buffer("side", torch.zeros(count, dtype=torch.long))
 
     def set(self, reflections: Sequence[Reflection]) -> None:
-        """Take the maps from reflections."""
+        """Set the maps from reflections."""
         for row, reflection in enumerate(reflections):
             for name, buffer in self.named_buffers():
                 buffer[row] = torch.as_tensor(getattr(reflection, name))
 
     def observation(self, observation: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """The reflected (n, size) observation, and for each reflection (n, 1) bool: it was needed."""
+        """The reflected (n, size) observation, and for each reflection (n, 1) bool: it was applied."""
         needed = []
         for row in range(len(self.side)):
             needed.append(observation[:, self.side[row]].unsqueeze(-1) < 0.0)
@@ -57,7 +57,7 @@ class Facing(nn.Module):
         return observation, needed
 
     def action(self, action: Tensor, needed: list[Tensor]) -> Tensor:
-        """The (n, joints) action of the robot itself; a reflection undoes itself."""
+        """The (n, joints) action reflected back, which is the same reflection again."""
         for row in reversed(range(len(needed))):
             reflected = action[:, self.action_index[row]] * self.action_sign[row]
             action = torch.where(needed[row], reflected, action)
@@ -65,7 +65,7 @@ class Facing(nn.Module):
 
 
 class Network(MLPModel):
-    """rsl_rl's model, whose parameters keep their names."""
+    """rsl_rl's model with precision and symmetry. Parameters keep rsl_rl's names."""
 
     def __init__(
         self,
@@ -78,8 +78,8 @@ class Network(MLPModel):
 
         Args:
             precision: arithmetic of the hidden layers.
-            reflections: maps of the robot's symmetries, or how many a state dict will bring; none for a network
-                that knows of none.
+            reflections: maps of the robot's symmetries, or their number if a state dict will fill them; empty or 0 for
+                a network without symmetry.
         """
         super().__init__(*args, **kwargs)
         if precision == "bfloat16":
@@ -99,7 +99,7 @@ class Network(MLPModel):
         hidden_state: None = None,
         stochastic_output: bool = False,
     ) -> Tensor:
-        """Values, or actions: sampled where `stochastic_output` asks for it, their means else."""
+        """Values, or actions: sampled if `stochastic_output` is set, otherwise their means."""
         latent = self.get_latent(obs)
         if self.facing is None:
             output = self.mlp(latent)
@@ -117,7 +117,7 @@ class Network(MLPModel):
 
 
 def choose_precision(precision: Precision) -> Precision:
-    """What `auto` means on this processor: bfloat16 where it has instructions for it."""
+    """Resolve `auto`: bfloat16 on processors with instructions for it, otherwise float32."""
     if precision != "auto":
         return precision
     return "bfloat16" if torch.cpu.get_capabilities().get("avx512_bf16", False) else "float32"

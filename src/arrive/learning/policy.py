@@ -1,4 +1,4 @@
-"""A trained policy, ready to act."""
+"""A trained policy, loaded from a file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ LOG_STD = "distribution.log_std_param"
 
 @dataclass(frozen=True)
 class Policy:
-    """The mean action of a trained network, and what the file says about it."""
+    """The mean action of a trained network, and its origin."""
 
     path: Path
     config: Config
@@ -33,16 +33,16 @@ class Policy:
     samples: int
     actor: Network
     device: torch.device = CPU
-    """Where it acts."""
+    """Device of the network."""
 
     @property
     def folder(self) -> Path:
-        """Where its results lie and go."""
+        """Folder of its results."""
         return results_folder(self.path)
 
     @property
     def name(self) -> str:
-        """What it is called: its folder's name."""
+        """Name of the policy, which is its folder's name."""
         return self.folder.resolve().name
 
     @torch.inference_mode()
@@ -51,10 +51,10 @@ class Policy:
         return self.actor(TensorDict({POLICY: observation}, batch_size=[len(observation)]))
 
     def check(self, env: ArriveEnv) -> None:
-        """Make sure that the environment gives what this policy was trained on.
+        """Check that the environment has the robot and observation that this policy was trained on.
 
         Raises:
-            ArriveError: another robot or observation.
+            ArriveError: it has another robot or observation.
         """
         if self.config.robot != env.config.robot:
             raise ArriveError(f"{self.path} was trained for the robot {self.config.robot!r}, not {env.config.robot!r}")
@@ -62,14 +62,14 @@ class Policy:
 
 
 def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
-    """Read a policy; nothing from its file is executed.
+    """Read a policy. Nothing in its file is executed.
 
     Args:
         path: a run folder, a policy.pt, or the name of a shipped policy.
-        device: where it acts, and where the environments that it is measured in live.
+        device: device of the network, and of the environments in which it is evaluated.
 
     Raises:
-        ArriveError: missing, damaged, foreign, or its networks do not fit its configuration.
+        ArriveError: the file is missing, damaged or not from arrive, or its networks do not fit its configuration.
     """
     path = find_policy(path)
     path = path / POLICY_NAME if path.is_dir() else path
@@ -78,7 +78,7 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
 
 
 def assemble(origin: Origin, weights: dict[str, Tensor], path: Path, device: torch.device | str) -> Policy:
-    """The policy of a file's actor.
+    """Make a policy from an actor's weights.
 
     Raises:
         ArriveError: the weights do not fit the configuration.

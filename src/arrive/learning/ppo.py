@@ -1,4 +1,4 @@
-"""rsl_rl's PPO behind our own configuration."""
+"""Builds rsl_rl's PPO from our configuration."""
 
 import contextlib
 import io
@@ -17,7 +17,7 @@ DISTRIBUTION_CLASS = "rsl_rl.modules.distribution:GaussianDistribution"
 
 
 def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict, ranks: Ranks = ALONE) -> PPO:
-    """Build the algorithm with fresh networks, drawn from torch's global random state."""
+    """Build the algorithm with new networks, initialised from torch's global random state."""
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its models
         algorithm = PPO.construct_algorithm(observations, env, _settings(config, env, ranks), str(env.device))
     algorithm.train_mode()
@@ -25,10 +25,10 @@ def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict, ranks:
 
 
 def make_actor(config: PPOConfig, observations: TensorDict, num_actions: int, reflections: int) -> Network:
-    """An actor alone, to run a trained policy in float32.
+    """An actor without critic, to run a trained policy in float32.
 
     Args:
-        reflections: how many symmetries of the robot it knows; its state dict says how they look.
+        reflections: number of symmetries. The state dict brings their maps.
     """
     settings = _network_settings(config) | _noise_settings(config)
     settings |= {"precision": "float32", "reflections": reflections}

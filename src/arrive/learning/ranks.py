@@ -1,4 +1,4 @@
-"""Several processes that train one policy, started by torch's own launcher (torchrun)."""
+"""Training one policy in several processes, started by torch's launcher (torchrun)."""
 
 import os
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ import torch.distributed as dist
 from torch import Tensor
 
 SEED_STEP = 104_729
-"""Added per rank to the seed of terrain, episodes and action noise, so that no two processes see the same."""
+"""Added per rank to the seed of terrain, episodes and action noise, so that processes differ in them."""
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """This process among those that train together; rsl_rl averages their gradients in every mini-batch.
+    """This process and the others that train with it. rsl_rl averages their gradients in every mini-batch.
 
-    Rank 0 shows, logs and saves. A single process is rank 0 of 1 and talks to nobody.
+    Rank 0 displays, logs and saves. A single process is rank 0 of 1 and does not communicate.
     """
 
     rank: int = 0
@@ -24,22 +24,22 @@ class Ranks:
 
     @property
     def leads(self) -> bool:
-        """Whether this process shows, logs and saves."""
+        """Whether this process displays, logs and saves."""
         return self.rank == 0
 
     @property
     def seed_offset(self) -> int:
-        """What is added to the configuration's seed for all that is drawn in this process but the networks."""
+        """Added to the configuration's seed for everything random in this process except the networks."""
         return SEED_STEP * self.rank
 
     def settings(self) -> dict[str, int] | None:
-        """What rsl_rl wants to know; None for a single process."""
+        """rsl_rl's settings for several processes; None for a single one."""
         if self.count == 1:
             return None
         return {"global_rank": self.rank, "local_rank": _from_launcher("LOCAL_RANK", 0), "world_size": self.count}
 
     def any(self, flag: bool) -> bool:
-        """Whether the flag is set in any process; every process must ask."""
+        """Whether the flag is set in any process. Every process must call this."""
         if self.count == 1:
             return flag
         flags = torch.tensor(int(flag))
@@ -55,7 +55,7 @@ class Ranks:
         return numbers.bool().to(flags.device)
 
     def gather(self, value: Any) -> list[Any]:
-        """The values of all processes by rank, on rank 0; nothing on the others."""
+        """On rank 0, the values of all processes by rank; on other ranks, an empty list."""
         if self.count == 1:
             return [value]
         values = [None] * self.count if self.leads else None
@@ -71,7 +71,7 @@ class Ranks:
         return values[0]
 
     def leave(self) -> None:
-        """Part from the others; the last thing that a process does."""
+        """Leave the process group, as the last step of a process."""
         if self.count > 1:
             dist.destroy_process_group()
 
@@ -80,10 +80,10 @@ ALONE = Ranks()
 
 
 def join_ranks(device: torch.device) -> Ranks:
-    """Join the processes that torchrun started; without torchrun this process is alone.
+    """Join the processes that torchrun started. Without torchrun there is a single process.
 
     Args:
-        device: where this process trains; GPUs exchange gradients by NCCL, all else goes by Gloo.
+        device: device of this process. GPUs exchange gradients by NCCL; everything else uses Gloo.
     """
     count = _from_launcher("WORLD_SIZE", 1)
     if count == 1:
@@ -98,5 +98,5 @@ def processes_here() -> int:
 
 
 def _from_launcher(name: str, alone: int) -> int:
-    """One of the variables that torchrun sets."""
+    """An environment variable of torchrun, or the value for a single process."""
     return int(os.environ.get(name, alone))

@@ -1,4 +1,4 @@
-"""Goes back to the last good state where a number is NaN or infinite, with other random numbers from there."""
+"""Goes back to the last good state when a value is NaN or infinite, and continues with other random numbers."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +12,9 @@ from arrive.learning.ranks import Ranks
 from arrive.learning.state import TrainingState
 
 MAX_RECOVERIES = 3
-"""Times that training goes back to the last good state, without a new one, before it gives up."""
+"""Training gives up after going back this many times to the same good state."""
 SEED_STEP = 7919
-"""Added to the seed per recovery, so that the same numbers are not drawn again."""
+"""Added to the seed per recovery, so that the random numbers differ."""
 Result = TypeVar("Result")
 
 
@@ -24,23 +24,23 @@ class Recovery:
     def __init__(self, state: TrainingState, seed: int, folder: Path, ranks: Ranks):
         """
         Args:
-            seed: of this process's random numbers.
-            folder: for the dumps of what went wrong.
+            seed: seed of this process's random numbers.
+            folder: folder for the dumps.
         """
         self._state, self._seed, self._ranks = state, seed, ranks
         self._folder = folder if ranks.leads else folder / f"rank{ranks.rank}"
         self.keep()
 
     def keep(self) -> None:
-        """Take the present state as the one to go back to."""
+        """Store the current state as the last good one."""
         self.good = self._state.snapshot()
         self._count = 0
 
     def together(self, phase: Callable[[], Result]) -> Result:
-        """Run a phase; where one process meets a number that is not finite, all go back.
+        """Run a phase. If a value is not finite in one process, raise in all of them, so that all go back.
 
         Raises:
-            NonFiniteError: this process or another one met it.
+            NonFiniteError: a value in this process or another one is not finite.
         """
         result, failure = None, None
         try:
@@ -50,11 +50,11 @@ class Recovery:
         except RuntimeError as error:
             failure = self._broken_networks(error)
         if self._ranks.any(failure is not None):
-            raise failure or NonFiniteError("another process met a non-finite number", {})
+            raise failure or NonFiniteError("non-finite values in another process", {})
         return result
 
     def _broken_networks(self, error: RuntimeError) -> NonFiniteError:
-        """Why torch refused to draw actions, which it does where a mean or deviation is NaN, before our checks."""
+        """Find the broken parameters after torch has refused to sample actions, which happens before our checks."""
         try:
             check_losses({}, self._state.parameters())
         except NonFiniteError as broken:
@@ -62,16 +62,16 @@ class Recovery:
         raise error
 
     def go_back(self, error: NonFiniteError) -> None:
-        """Dump what was seen, go back, and draw other random numbers from there.
+        """Save a dump, restore the last good state, and continue with other random numbers.
 
         Raises:
-            ArriveError: it came back too often.
+            ArriveError: training went back too often.
         """
         self._count += 1
         path = save_dump(self._folder, self._state.iteration, error, vars(self.good))
         if self._count > MAX_RECOVERIES:
-            raise ArriveError(f"{error}; it came back {MAX_RECOVERIES} times. What was seen is in {path}.") from error
-        print(f"{error}. Dumped to {path}; going on from iteration {self.good.iteration}.")
+            raise ArriveError(f"{error}, again after {MAX_RECOVERIES} attempts to recover. Dump: {path}.") from error
+        print(f"{error}. Dump: {path}. Training continues from iteration {self.good.iteration}.")
         self._state.restore(self.good)
         self._state.algorithm.storage.clear()
         torch.manual_seed(self._seed + SEED_STEP * self._count + self._state.iteration)

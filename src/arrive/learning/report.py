@@ -1,16 +1,16 @@
-"""What one training iteration has to say; the display, the log, the curves and TensorBoard all read this."""
+"""The report of one training iteration, which display, log, curves and TensorBoard use."""
 
 from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class FamilyReport:
-    """How the robots on one terrain family are doing."""
+    """Success, levels and failures of the robots on one terrain family."""
 
     arrival: float
-    """Share of recently finished episodes that arrived, NaN before the first one."""
+    """Success rate of recently finished episodes, NaN before the first one."""
     mean_level: float
-    """Mean terrain level of the robots now on this family."""
+    """Mean terrain level of the robots on this family."""
     levels: tuple[int, ...]
     """Number of robots on each level."""
     failures: dict[str, float] = field(default_factory=dict)
@@ -23,15 +23,15 @@ class IterationReport:
 
     iteration: int
     samples: int
-    """Policy steps since the run began, over all environments."""
+    """Policy steps since the run started, over all environments."""
     elapsed_s: float
-    """Training time since the run began, over all resumed parts [s]."""
+    """Training time since the run started, over all resumed parts [s]."""
     budget: float
-    """Share of the run's budget (minutes or iterations) that is spent, 0 to 1."""
+    """Share of the run's budget (minutes, iterations or samples) that is spent, 0 to 1."""
     time_left_s: float
     samples_per_s: float
     arrival: float
-    """Share of recently finished episodes that arrived, NaN before the first one."""
+    """Success rate of recently finished episodes, NaN before the first one."""
     diverged_share: float
     """Share of the recently ended episodes that ended because the simulation diverged."""
     exploration_paid: float
@@ -40,16 +40,16 @@ class IterationReport:
     """Task reward inside its window as a share of its maximum, mean of the families."""
     families: dict[str, FamilyReport] = field(default_factory=dict)
     rewards: dict[str, float] = field(default_factory=dict)
-    """Mean weighted reward per step and term, over the iteration."""
+    """Mean weighted reward of each term per step, over the iteration."""
     failures: dict[str, float] = field(default_factory=dict)
     """Share of recently finished episodes per cause of failure."""
     learning: dict[str, float] = field(default_factory=dict)
     """Losses, learning rate, action standard deviation."""
     warnings: dict[str, str] = field(default_factory=dict)
-    """Signs that nothing is learnt: name and, for a person, what was seen and the likely causes."""
+    """Signs that nothing is learnt: name, and a text with the observation and its likely causes."""
 
     def scalars(self) -> dict[str, float]:
-        """Every figure under one flat name, as TensorBoard and the CSV log write them."""
+        """Every value under its flat name, as in TensorBoard and the CSV log."""
         flat = {
             "progress/samples": float(self.samples),
             "progress/elapsed_s": self.elapsed_s,

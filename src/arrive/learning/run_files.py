@@ -1,4 +1,4 @@
-"""The files from which a training goes on: written together, read back into the very same state."""
+"""The files from which a training resumes: written together, and read back into exactly the same state."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +20,9 @@ from arrive.policies import POLICY_NAME
 
 
 def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: Path, ranks: Ranks) -> None:
-    """Write checkpoint and policy of a snapshot that was just taken.
+    """Write checkpoint and policy of a new snapshot.
 
-    The first process writes, with what the others' environments need to go on; all must call.
+    Rank 0 writes, and includes the state of the other processes' environments. All processes must call this.
 
     Raises:
         ArriveError: the folder cannot be written or the disk is full.
@@ -38,7 +38,7 @@ def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: P
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run's checkpoint has come."""
+    """Progress of a run, from its checkpoint."""
 
     iteration: int = 0
     samples: int = 0
@@ -46,7 +46,7 @@ class Progress:
 
 
 def read_progress(folder: Path) -> Progress:
-    """How far a run is, by its checkpoint alone; nothing where there is none.
+    """Read the progress of a run from its checkpoint; zero if there is none.
 
     Raises:
         ArriveError: the checkpoint is damaged.
@@ -58,15 +58,15 @@ def read_progress(folder: Path) -> Progress:
     try:
         return Progress(origin.iteration, origin.samples, float(state["elapsed_s"]) / 60.0)
     except (KeyError, TypeError, ValueError) as error:
-        raise ArriveError(f"{path} does not say how long it was trained; it was not written by arrive") from error
+        raise ArriveError(f"{path} does not contain its training time; it was not written by arrive") from error
 
 
 def resume_run(state: TrainingState, config: Config, folder: Path, ranks: Ranks) -> None:
-    """Go on exactly where the folder's checkpoint stands.
+    """Resume exactly from the folder's checkpoint.
 
     Raises:
-        ArriveError: no readable checkpoint, or one of another robot, observation, configuration, device, number of
-            processes or version.
+        ArriveError: there is no readable checkpoint, or its robot, observation, configuration, device, number of
+            processes or version differs.
     """
     path = folder / CHECKPOINT_NAME
     origin, saved = load_checkpoint(path)
@@ -78,22 +78,22 @@ def resume_run(state: TrainingState, config: Config, folder: Path, ranks: Ranks)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         raise ArriveError(
             f"{path} was written by another version of arrive and cannot be resumed; "
-            f"begin a new run with its networks: --start-from {folder}. ({type(error).__name__})"
+            f"start a new run from its networks: --start-from {folder}. ({type(error).__name__})"
         ) from error
 
 
 def _part_of_rank(saved: dict[str, Any], state: TrainingState, ranks: Ranks, path: Path) -> Snapshot:
-    """A checkpoint's state with this process's own parts in it.
+    """A checkpoint's state with the parts that belong to this process.
 
     Raises:
-        ArriveError: it was made by another number of processes or on another kind of device.
+        ArriveError: the number of processes or the kind of device differs.
     """
     snapshot, others = snapshot_from(saved), saved["others"]
     if len(others) + 1 != ranks.count:
-        raise ArriveError(f"{path} was made by {len(others) + 1} processes: resume it with as many")
+        raise ArriveError(f"{path} was made by {len(others) + 1} processes: resume with the same number")
     if snapshot.device != state.env.device.type:
         raise ArriveError(
-            f"{path} was made with --device {snapshot.device}: resume it so, or start a "
+            f"{path} was made with --device {snapshot.device}: resume with the same device, or start a "
             f"new run with --start-from {path.parent}"
         )
     return snapshot if ranks.leads else replace(snapshot, **others[ranks.rank - 1])

@@ -1,4 +1,4 @@
-"""A run's folder: what was asked, by which code, and who may write there."""
+"""The run folder: its configuration, the version of the code, and the lock for writing."""
 
 import contextlib
 import os
@@ -24,11 +24,11 @@ from arrive.policies import POLICY_NAME, RUNS
 CONFIG_NAME = "config.json"
 LOCK_NAME = "run.lock"
 MOTOR_NAME = "motor.safetensors"
-"""The run's own copy of its actuator network."""
+"""File name of the run's own copy of its actuator network."""
 
 
 def commit() -> str:
-    """The commit of the code that is running, with `+` if it was changed, or the version outside a checkout."""
+    """The commit of the running code, with `+` if files are modified. Outside a checkout, the version."""
     folder = Path(__file__).parent
 
     def git(*arguments: str) -> str:
@@ -43,12 +43,12 @@ def commit() -> str:
 
 
 def new_run_folder(config: Config, folder: Path | None) -> Path:
-    """Make the folder of a new run; without a name given, a new one from terrain, preset, seed and time.
+    """Make the folder of a new run. Without a given folder, its name has time, terrain, task, preset and seed.
 
-    A folder that holds only what a start that was cut off has left can be begun again.
+    A folder left by a start that was interrupted before the first checkpoint can be used again.
 
     Raises:
-        ArriveError: it cannot be written, or already holds a run.
+        ArriveError: the folder cannot be written, or already holds a run.
     """
     try:
         if folder is None:
@@ -63,10 +63,10 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
 
 
 def check_free(folder: Path) -> None:
-    """Make sure that nothing in a folder was learnt.
+    """Check that a folder does not hold a run.
 
     Raises:
-        ArriveError: it holds a run.
+        ArriveError: it does.
     """
     for name in (CHECKPOINT_NAME, POLICY_NAME, LOG_NAME):
         if (folder / name).exists():
@@ -76,7 +76,7 @@ def check_free(folder: Path) -> None:
 
 
 def _new_folder(config: Config) -> Path:
-    """A folder under RUNS that did not exist: two runs that begin in the same second get two."""
+    """Make a new folder under RUNS. Two runs started in the same second get different folders."""
     terrain = "-".join(config.terrain.families) if len(config.terrain.families) < 4 else "mixed"
     name = f"{time.strftime('%Y%m%d-%H%M%S')}-{terrain}-{config.task.name}-{config.preset}-{config.seed}"
     folder, number = RUNS / name, 1
@@ -87,7 +87,7 @@ def _new_folder(config: Config) -> Path:
 
 
 def _made(folder: Path) -> bool:
-    """Make a folder; False where another process was faster."""
+    """Make a folder. Returns False if it already exists."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
         folder.mkdir()
@@ -98,12 +98,12 @@ def _made(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[Lock]:
-    """Be the only process that writes to a run's folder; what a killed one has left half written is removed.
+    """Hold the lock of a run folder, and remove incomplete files that a killed process left.
 
-    A folder that is empty in the end, because the start failed, is removed too.
+    A folder that is empty at the end, because the start failed, is removed too.
 
     Raises:
-        ArriveError: another process writes there.
+        ArriveError: another process holds the lock.
     """
     try:
         with Lock(folder / LOCK_NAME, f"the run in {folder}") as lock:
@@ -120,10 +120,10 @@ def owned(folder: Path) -> Iterator[Lock]:
 def write_config(folder: Path, config: Config, before: int = 0) -> None:
     """Write the resolved configuration with commit, command and seed, just before the first checkpoint.
 
-    The actuator network that it names is copied first: with it the folder has all that a run needs.
+    The actuator network that it names is copied first, so that the folder has everything that the run needs.
 
     Args:
-        before: policy steps of the runs that this one begins from.
+        before: policy steps of the runs that this one started from.
 
     Raises:
         ArriveError: the folder cannot be written.
@@ -142,10 +142,10 @@ def write_config(folder: Path, config: Config, before: int = 0) -> None:
 
 
 def require_imports(folder: Path) -> None:
-    """Make sure that the modules a run was made with are imported, where a folder says which they were.
+    """Check that the plugin modules recorded in a run folder are imported.
 
     Raises:
-        ArriveError: one is not; says how to import it.
+        ArriveError: one is not imported; the message says how to import it.
     """
     path = folder / CONFIG_NAME
     modules = read_json(path).get("imports", {}) if path.is_file() else {}
@@ -154,20 +154,20 @@ def require_imports(folder: Path) -> None:
 
 
 def with_own_motor(config: Config, folder: Path) -> Config:
-    """The configuration of a run with the folder's own copy of the actuator network in place of the file it names."""
+    """The configuration of a run, with the actuator network replaced by the folder's own copy."""
     if not config.physics.motor_file or not (folder / MOTOR_NAME).is_file():
         return config
     return replace(config, physics=replace(config.physics, motor_file=str(folder / MOTOR_NAME)))
 
 
 def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
-    """The configuration a run was made with, and the whole record.
+    """The configuration of a run, and the whole record.
 
     Args:
-        folder: of the run, or its configuration's file.
+        folder: the run folder, or its configuration file.
 
     Raises:
-        ArriveError: the folder holds no run, or its configuration is not readable.
+        ArriveError: the folder does not hold a run, or its configuration is not readable.
     """
     path = folder if folder.is_file() else folder / CONFIG_NAME
     try:
@@ -187,5 +187,5 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
 
 
 def samples_before(record: dict[str, Any]) -> int:
-    """Policy steps of the runs that a run began from."""
+    """Policy steps of the runs that a run started from."""
     return int(record.get("samples_before", 0))

@@ -1,8 +1,8 @@
-"""What changes while a policy is trained: first find a gait, then climb the levels, finish quietly.
+"""The training schedule: find a gait, then climb the levels, then finish with little noise.
 
-A single setting serves none of the three well. A gait is found with much noise and cheap falls. A robot that has one
-trips over the same noise. And the policy that is measured acts without any, so the last part of a run trains it with
-little noise, small steps, dear falls, and easy levels among the hard ones.
+No single setting suits all three stages. Finding a gait needs much action noise and cheap falls. Later the same noise
+makes the robot trip. And the policy is evaluated without noise, so the last part of a run uses little noise, small
+updates, expensive falls, and a mix of easy and hard levels.
 """
 
 from dataclasses import dataclass
@@ -11,36 +11,36 @@ from arrive.config import Config, ScheduleConfig
 
 GAIT, CLIMB, FINISH = "gait", "climb", "finish"
 MAX_STD = 1e3
-"""Stands for no bound on the action noise."""
+"""Bound on the action noise that has no effect."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the schedule decides for one iteration."""
+    """The values of the schedule for one iteration."""
 
     stage: str
-    """`gait` until the task reward is at half of its maximum on every terrain family, then `climb`, then `finish`."""
+    """`gait` until the task reward reaches half of its maximum on every terrain family, then `climb`, then `finish`."""
     entropy: float
     """Weight of the entropy bonus."""
     desired_kl: float
-    """KL divergence per update that the learning rate is adapted to."""
+    """KL divergence per update, to which the learning rate is adapted."""
     max_std: float
-    """The standard deviation of the action noise is cut at this."""
+    """Upper bound on the standard deviation of the action noise."""
     crash_cost: float
-    """What a crash costs, positive."""
+    """Cost of a crash, positive."""
     review: float
     """Share of the episodes on a random easier level."""
 
 
 def settings_at(config: Config, spent: float, seeking: float) -> Settings:
-    """What holds at this point of a run.
+    """The settings at this point of a run.
 
-    While climbing, the bound on the action noise falls geometrically with the budget; in the finish everything has gone
-    over to its last value after half of the finish, linearly.
+    During the climb, the bound on the action noise falls geometrically with the budget. In the first half of the
+    finish, all values change linearly to their last value.
 
     Args:
-        spent: share of the budget, 0 to 1.
-        seeking: share of the robots whose terrain family still seeks its gait.
+        spent: spent share of the budget, 0 to 1.
+        seeking: share of the robots on terrain families that are still in the gait stage.
     """
     schedule, first = config.schedule, config.ppo
     if not schedule.enabled:
@@ -61,7 +61,7 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
 
 
 def _constant(config: Config, entropy: float) -> Settings:
-    """What the configuration says itself."""
+    """The settings of the configuration itself, without a schedule."""
     return Settings(
         stage=GAIT,
         entropy=entropy,
@@ -73,7 +73,7 @@ def _constant(config: Config, entropy: float) -> Settings:
 
 
 def _finish_share(schedule: ScheduleConfig, spent: float) -> float:
-    """How much of the way to the last values has been gone, 0 to 1."""
+    """Progress from the climb's values to the last values, 0 to 1."""
     if schedule.finish_from >= 1.0:
         return 0.0
     return min(max((spent - schedule.finish_from) / (0.5 * (1.0 - schedule.finish_from)), 0.0), 1.0)

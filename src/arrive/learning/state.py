@@ -1,4 +1,4 @@
-"""The state of a training: everything that decides how it goes on, as one snapshot that can be saved and restored."""
+"""The state of a training: everything that an exact resume needs, as a snapshot that can be saved and restored."""
 
 import copy
 from dataclasses import dataclass, fields
@@ -16,12 +16,12 @@ from arrive.learning.ranks import Ranks
 from arrive.learning.statistics import TrainingStatistics
 
 OWN_PARTS = ("env", "observations", "statistics", "random", "random_cuda")
-"""The parts of a snapshot that each of several processes has of its own."""
+"""The parts of a snapshot that differ between processes."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A training at one moment, as plain data and tensors that nothing else refers to."""
+    """A training at one moment, as plain data and tensors of its own."""
 
     iteration: int
     samples: int
@@ -29,16 +29,16 @@ class Snapshot:
     algorithm: dict[str, Any]
     """Networks and optimiser, as rsl_rl saves them."""
     device: str
-    """Kind of device that the robots live on."""
+    """Kind of device that simulates the robots."""
     env: dict[str, Any]
     observations: Tensor
-    """(num_envs, size) what the next action is chosen from."""
+    """(num_envs, size) the observations for the next action."""
     statistics: dict[str, Any]
     random: Tensor
     random_cuda: Tensor | None
 
     def own(self) -> dict[str, Any]:
-        """What this process alone knows of several that train together."""
+        """The parts that belong to this process alone."""
         return {name: getattr(self, name) for name in OWN_PARTS}
 
 
@@ -55,7 +55,7 @@ class TrainingState:
     """Networks, optimiser, environment, statistics and random numbers of one training in one process."""
 
     def __init__(self, config: Config, env: ArriveEnv, ranks: Ranks):
-        """Draw fresh networks from the configuration's seed, the same in every process; other draws then differ."""
+        """Initialise networks from the configuration's seed, equal in all processes. Later random numbers differ."""
         torch.manual_seed(config.seed)
         self.env = env
         self.observations: TensorDict = env.get_observations()
@@ -71,7 +71,7 @@ class TrainingState:
         return {f"{name} {n}": value for name, network in networks.items() for n, value in network.named_parameters()}
 
     def snapshot(self) -> Snapshot:
-        """The training as it is now."""
+        """A snapshot of the training as it is now."""
         cuda = self.env.device.type == "cuda"
         parts = {
             "iteration": self.iteration,
@@ -88,10 +88,10 @@ class TrainingState:
         return Snapshot(**copy.deepcopy(parts))
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on exactly as from the moment of the snapshot, which can be restored again.
+        """Restore a snapshot exactly. The same snapshot can be restored again.
 
         Raises:
-            KeyError, RuntimeError: it is of another version or configuration.
+            KeyError, RuntimeError: the snapshot is from another version or configuration.
         """
         self.iteration, self.samples, self.elapsed_s = snapshot.iteration, snapshot.samples, snapshot.elapsed_s
         self.algorithm.load(copy.deepcopy(snapshot.algorithm), None, True)

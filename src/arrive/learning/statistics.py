@@ -1,4 +1,4 @@
-"""Running figures over the episodes that finished lately."""
+"""Statistics of the rewards and the recently finished episodes."""
 
 from collections import deque
 from typing import Any
@@ -10,18 +10,18 @@ from arrive.env import ArriveEnv, StepLog
 from arrive.learning.report import FamilyReport
 
 WINDOW_ITERATIONS = 20
-"""Finished episodes of this many iterations make the arrival rate that is shown."""
+"""The success rate is a moving average over the episodes that finished in this many iterations."""
 
 
 class TrainingStatistics:
-    """Gathers rewards and outcomes of an iteration's steps."""
+    """Collects rewards and outcomes of an iteration's steps."""
 
     def __init__(self, env: ArriveEnv):
         self._names = [family.name for family in env.pool.families]
         self._recent: deque[dict[str, list[float]]] = deque(maxlen=WINDOW_ITERATIONS)
         self._recent_ends: deque[tuple[int, int]] = deque(maxlen=WINDOW_ITERATIONS)
         self.diverged = 0
-        """Simulations that diverged since the run began."""
+        """Number of simulations that diverged since the run started."""
         self._begin()
 
     def _begin(self) -> None:
@@ -32,7 +32,7 @@ class TrainingStatistics:
         self._diverged, self._ended = 0, 0
 
     def take(self, env: ArriveEnv, log: StepLog) -> None:
-        """Take in one step."""
+        """Add one step."""
         self._steps += 1
         self.diverged += log.diverged
         self._diverged += log.diverged
@@ -53,7 +53,7 @@ class TrainingStatistics:
         self._now[name] = [a + b for a, b in zip(row, counts, strict=True)]
 
     def finish_iteration(self) -> dict[str, float]:
-        """Close the iteration; mean weighted reward per step and term."""
+        """Close the iteration and return the mean weighted reward of each term per step."""
         rewards = {name: total / max(self._steps, 1) for name, total in self._rewards.items()}
         self._recent.append(self._now)
         self._recent_ends.append((self._diverged, self._ended))
@@ -65,12 +65,12 @@ class TrainingStatistics:
         return sum(sum(row) if family is None else row[family] for row in rows)
 
     def arrival(self, family: int | None = None) -> float:
-        """Share of the recent episodes that arrived, NaN before the first one."""
+        """Success rate of the recent episodes, NaN before the first one."""
         episodes = self._total("episodes", family)
         return self._total("success", family) / episodes if episodes else float("nan")
 
     def diverged_share(self) -> float:
-        """Share of the recently ended episodes whose simulation diverged; 0 before the first one."""
+        """Share of the recent episodes whose simulation diverged; 0 before the first one."""
         diverged, ended = (sum(counts) for counts in zip(*self._recent_ends, strict=True))
         return min(diverged / ended, 1.0) if ended else 0.0
 
@@ -81,7 +81,7 @@ class TrainingStatistics:
         return {name: self._total(name, family) / episodes for name in sorted(causes)} if episodes else {}
 
     def families(self, env: ArriveEnv) -> dict[str, FamilyReport]:
-        """Arrival and levels per terrain family."""
+        """Success rate, levels and failures per terrain family."""
         reports = {}
         for index, name in enumerate(self._names):
             levels = env.curriculum.levels[env.family_of_env == index]

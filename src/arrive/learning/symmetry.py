@@ -1,9 +1,9 @@
-"""Networks that treat a robot's mirror images alike: a target behind is one ahead, to a robot that is reflected.
+"""Mirror symmetry of the networks: for a front-back reflected robot, a target behind is a target ahead.
 
-The robot looks the same from left and right, and some robots from front and back. What is right for one command is
-then right, reflected, for its mirror image. The networks see every observation reflected so that the command leads
-forwards and to the left, and what they answer is reflected back. They learn a quarter of the directions, and no
-walking direction can be preferred (the paper's section Emergent Gaits regrets that its policies do).
+Robots are symmetric left to right, and some also front to back. The right action for a command is then, reflected, also
+right for the reflected command. Observations are reflected so that the command points forward and to the left, and the
+networks' actions are reflected back. With both symmetries the networks learn only a quarter of the directions, and they
+cannot prefer one walking direction, as the paper's policies do (section Emergent Gaits).
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ class Reflection:
     action_index: Tensor
     action_sign: Tensor
     side: int
-    """Column of the observation that is negative where the command leads to the far side of the mirror."""
+    """Column of the observation that is negative if the command points to the far side of the mirror plane."""
 
     def observation(self, observation: Tensor) -> Tensor:
-        """What the reflected robot would sense, (n, size)."""
+        """(n, size) observation of the reflected robot."""
         return observation[:, self.observation_index] * self.observation_sign
 
     def action(self, action: Tensor) -> Tensor:
-        """What the reflected robot would do, (n, joints)."""
+        """(n, joints) action of the reflected robot."""
         return action[:, self.action_index] * self.action_sign
 
 
 def make_reflections(env: ArriveEnv) -> tuple[Reflection, ...]:
-    """Front-back reflection, where the robot has that symmetry, and left-right reflection."""
+    """Front-back reflection, if the robot has that symmetry, and left-right reflection."""
     observer, robot = env.observer, env.robot
     ahead, left = (observer.column(*side) for side in env.task.sides)
     mirror = _reflection(observer.mirror(), joint_mirror(robot), left)

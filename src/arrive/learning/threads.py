@@ -1,4 +1,4 @@
-"""How many threads torch uses in which phase."""
+"""Number of torch threads in the phases of training."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,10 +8,10 @@ import torch
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """While robots act, torch computes on the calling thread alone.
+    """Let torch use only the calling thread, while robots act.
 
-    Its tensors are small there, and a second thread of its pool would spin for milliseconds after each of them, on the
-    very core that a physics thread needs next.
+    Tensors are small then. After each operation, a second thread of torch's pool would spin for milliseconds on the
+    core that a physics thread needs next.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

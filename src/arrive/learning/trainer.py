@@ -1,4 +1,4 @@
-"""The training loop: collect, learn, report, save, and never lose more than the last interval."""
+"""The training loop: collect, learn, report, save. A crash loses at most the time since the last checkpoint."""
 
 import math
 import time
@@ -33,7 +33,7 @@ Reporter = Callable[[IterationReport], None]
 
 @dataclass(frozen=True)
 class Budget:
-    """How long to train, counted from the run's beginning; what is None sets no limit."""
+    """How long to train, measured from the start of the run. None means no limit."""
 
     minutes: float | None = None
     iterations: int | None = None
@@ -41,7 +41,7 @@ class Budget:
     """Policy steps of all robots."""
 
     def spent(self, state: TrainingState) -> float:
-        """Share of the budget that is spent; 1 or more when it is over."""
+        """Spent share of the budget; 1 or more when it is used up."""
         by_time = state.elapsed_s / (60.0 * self.minutes) if self.minutes else 0.0
         by_count = state.iteration / self.iterations if self.iterations else 0.0
         by_samples = state.samples / self.samples if self.samples else 0.0
@@ -50,7 +50,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class _Iteration:
-    """What one iteration gave."""
+    """Results of one iteration."""
 
     rewards: dict[str, float]
     losses: dict[str, float]
@@ -58,14 +58,14 @@ class _Iteration:
 
 
 class Trainer:
-    """Trains one policy in one environment; its whole state can be saved and loaded bit for bit."""
+    """Trains one policy in one environment. Its state can be saved and restored bit for bit."""
 
     def __init__(self, config: Config, env: ArriveEnv, folder: Path, ranks: Ranks = ALONE):
-        """Draw fresh networks from the configuration's seed.
+        """Initialise networks from the configuration's seed.
 
         Args:
-            folder: of the run, where checkpoints go.
-            ranks: the processes that train together, each with an environment of its own.
+            folder: the run folder, for checkpoints.
+            ranks: the processes that train together, each with its own environment.
         """
         self.config, self.env, self.folder, self.ranks = config, env, folder, ranks
         self.state = TrainingState(config, env, ranks)
@@ -87,11 +87,11 @@ class Trainer:
     ) -> None:
         """Train until the budget is spent.
 
-        All processes stop and save together, when the first of them would. Ctrl-C and SIGTERM end it after the
-        iteration in progress. It saves at the start too, so that a run that is killed can always be resumed.
+        All processes stop and save together, as soon as one of them should. Ctrl-C and SIGTERM end training after the
+        current iteration. A checkpoint is saved at the start too, so that a killed run can always be resumed.
 
         Args:
-            before_save: called before each checkpoint is written, to bring to the disk what must not be behind it.
+            before_save: called before each checkpoint, to write other files to disk that must not be older than it.
         """
 
         def save() -> float:
@@ -113,7 +113,7 @@ class Trainer:
         """Collect, learn and report once.
 
         Returns:
-            False where a number was not finite: training went back to the last good state.
+            False if a value was not finite and training went back to the last good state.
         """
         start = time.monotonic()
         settings = self._follow_schedule(min(self._spent(budget), 1.0))
@@ -131,23 +131,23 @@ class Trainer:
         return True
 
     def save(self) -> None:
-        """Write checkpoint and policy; this state is then the one to go back to."""
+        """Write checkpoint and policy. This state becomes the last good one."""
         self.recovery.keep()
         save_run(self.state, self.recovery.good, self.config, self.folder, self.ranks)
 
     def load(self) -> None:
-        """Go on exactly where the folder's checkpoint stands; see `resume_run`."""
+        """Resume exactly from the folder's checkpoint; see `resume_run`."""
         resume_run(self.state, self.config, self.folder, self.ranks)
         self.recovery.keep()
 
     def warm_start(self, start: Path | Policy) -> int:
-        """Begin with what another run or policy has learnt; see `warm_start`."""
+        """Start from the networks of another run or policy; see `warm_start`."""
         samples = warm_start(self.state, self.config, start)
         self.recovery.keep()
         return samples
 
     def look(self) -> None:
-        """Take the observations from the environment anew, where somebody else has stepped it."""
+        """Read the observations from the environment again, after other code has stepped it."""
         self.state.observations = self.env.get_observations()
 
     def _spent(self, budget: Budget) -> float:
@@ -159,7 +159,7 @@ class Trainer:
         return self.env.num_envs * self.config.ppo.num_steps * self.ranks.count
 
     def _follow_schedule(self, spent: float) -> Settings:
-        """Set in the environment what the schedule says for the next iteration."""
+        """Apply the schedule's values for the next iteration to the environment."""
         settings = settings_at(self.config, spent, self.env.exploration.paid)
         self.env.review, self.env.rewarder.crash_cost = settings.review, -settings.crash_cost
         return settings
@@ -172,7 +172,7 @@ class Trainer:
     @one_torch_thread()
     @torch.inference_mode()
     def collect(self) -> dict[str, float]:
-        """Act for an iteration's steps; mean weighted reward per step and term."""
+        """Collect one rollout. Returns the mean weighted reward of each term per step."""
         state = self.state
         observations = state.observations
         for _ in range(self.config.ppo.num_steps):
@@ -194,7 +194,7 @@ class Trainer:
         check_terms("observation", terms)
 
     def learn(self, settings: Settings) -> dict[str, float]:
-        """Learn from what was collected; the losses and what else the update has to report."""
+        """Update the networks from the rollout. Returns losses and other learning metrics."""
         self.algorithm.entropy_coef = settings.entropy
         self.algorithm.desired_kl = settings.desired_kl or None
         explained = explained_variance(self.algorithm.storage.values, self.algorithm.storage.returns)
@@ -227,9 +227,9 @@ class Trainer:
 
 
 def explained_variance(values: torch.Tensor, returns: torch.Tensor) -> float:
-    """1 - Var(returns - values) / Var(returns): 1 of a critic that foresees everything, 0 of one that knows the mean.
+    """1 - Var(returns - values) / Var(returns): 1 for a perfect critic, 0 for one that predicts the mean.
 
-    It is that of a rollout, before the critic has learnt from it; 0 where all returns are the same.
+    It is computed on a rollout before the critic has learnt from it. It is 0 if all returns are equal.
     """
     spread = returns.var()
     return float(1.0 - (returns - values).var() / spread) if spread > 0.0 else 0.0

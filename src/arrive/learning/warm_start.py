@@ -1,4 +1,4 @@
-"""A new run that begins with the networks and terrain levels of another one."""
+"""Starts a new run from the networks and terrain levels of another one."""
 
 from pathlib import Path
 from typing import Any
@@ -15,19 +15,20 @@ from arrive.task.curriculum import deal_families
 
 
 def warm_start(state: TrainingState, config: Config, start: Path | Policy) -> int:
-    """Begin with what another run has learnt, or with a policy's network.
+    """Start from another run's checkpoint or from a policy.
 
-    Of a checkpoint: networks and optimiser with their action noise, and the levels of the families that both have. Of a
-    policy: its actor; the critic is new, and robots begin on the first level. An exported file does not tell the noise.
+    A checkpoint gives networks, action noise and optimiser, and the levels of the terrain families that both runs have.
+    A policy gives only its actor: the critic is new, and robots start on the first level. An exported file does not
+    contain the action noise.
 
     Args:
         start: a checkpoint, or a policy.
 
     Returns:
-        Policy steps that the other run has made.
+        Policy steps that the other run was trained for.
 
     Raises:
-        ArriveError: it cannot be read, or is of another robot, observation or size of networks.
+        ArriveError: it cannot be read, or its robot, observation or network size differs.
     """
     samples = (_take_policy if isinstance(start, Policy) else _take_run)(state, config, start)
     state.observations = state.env.get_observations()
@@ -60,7 +61,7 @@ def _misfit(path: Path, error: Exception) -> ArriveError:
 
 
 def reached_levels(saved: dict[str, Any], terrain: TerrainConfig) -> dict[str, Tensor]:
-    """Levels of a checkpoint's robots by terrain family, 0 for the easiest to 1 for the hardest."""
+    """Levels of a checkpoint's robots by terrain family, from 0 (easiest) to 1 (hardest)."""
     parts = [part["env"]["levels"] for part in (saved, *saved["others"])]
     levels = torch.cat(parts) / max(terrain.levels - 1, 1)
     family = torch.cat([deal_families(len(part), len(terrain.families)) for part in parts])

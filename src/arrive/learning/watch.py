@@ -1,4 +1,4 @@
-"""Notices that a training learns nothing, and says what the cause may be."""
+"""Detects that a training learns nothing, and names likely causes."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -6,19 +6,19 @@ from dataclasses import replace
 from arrive.learning.report import IterationReport
 
 DIVERGED_SHARE = 0.5
-"""Of the episodes that ended lately; in a sound simulation it is below one in a thousand."""
+"""Share of the recent episodes that diverged. In a sound simulation it is below one in a thousand."""
 CRASHED_SHARE, CRASHED_SAMPLES, CRASHED_ITERATIONS = 0.95, 1_000_000, 60
-"""Fresh networks crash in 70 % of the episodes after half a million samples, in 30 to 40 % after one."""
+"""New networks crash in 70 % of the episodes after half a million samples, and in 30 to 40 % after one million."""
 ARRIVED_SHARE, ARRIVED_SAMPLES, ARRIVED_ITERATIONS = 0.02, 3_000_000, 200
-"""The presets arrive in 4 to 10 % after one million samples, in 80 % after two."""
+"""With the presets, robots arrive in 4 to 10 % of the episodes after one million samples, and in 80 % after two."""
 STUCK_LEVEL, STUCK_SAMPLES, STUCK_ITERATIONS = 0.1, 2_000_000, 200
-"""Mean level that a curriculum passes within a million samples of its own, where robots learn on it at all."""
+"""If robots learn on a family at all, their mean level passes this within a million samples on that family."""
 LEAST_LEVELS = 2
-"""A family of fewer levels has no curriculum."""
+"""A family with fewer levels has no curriculum."""
 
 
 def find_warnings(report: IterationReport) -> IterationReport:
-    """The report with the warnings that its figures give cause for."""
+    """The report with warnings added, if its values call for any."""
     return replace(report, warnings=dict(_warnings(report)))
 
 
@@ -31,21 +31,21 @@ def _warnings(report: IterationReport) -> Iterator[tuple[str, str]]:
             "diverging",
             f"{report.diverged_share:.0%} of the episodes end because the simulation diverges. Likely causes: "
             "physics.timestep_s too long, contacts or gains too stiff, randomisation (start_speed, push_speed, "
-            "payload_kg) too wild.",
+            "payload_kg) too strong.",
         )
     if crashing and not diverging:
         yield (
             "crashing",
             f"{_crashed(report):.0%} of the episodes end in a crash after {_millions(report)} samples. Likely "
-            "causes: randomisation too wild, action noise (ppo.init_std, ppo.entropy) "
+            "causes: randomisation too strong, action noise (ppo.init_std, ppo.entropy) "
             "too large, or nothing that rewards staying upright.",
         )
     if _never_arriving(report) and not (diverging or crashing):
         yield (
             "arriving",
             f"{report.arrival:.0%} of the episodes arrive after {_millions(report)} samples. Likely causes: no reward "
-            "that leads to the target (exploration, approach, pace), targets too far for task.episode_s, penalties "
-            "that outweigh the task reward, ppo.gamma too small.",
+            "that guides robots to the target (exploration, approach, pace), targets too far for task.episode_s, "
+            "penalties that outweigh the task reward, ppo.gamma too small.",
         )
     if stuck := _stuck_families(report):
         yield (
@@ -67,7 +67,7 @@ def _never_arriving(report: IterationReport) -> bool:
 
 
 def _stuck_families(report: IterationReport) -> list[str]:
-    """Families with a curriculum whose robots are practically all on the first level, after samples enough."""
+    """Families with a curriculum whose robots are almost all on the first level after enough samples."""
     robots = sum(sum(family.levels) for family in report.families.values())
     return [
         name
@@ -84,5 +84,5 @@ def _millions(report: IterationReport) -> str:
 
 
 def _crashed(report: IterationReport) -> float:
-    """Share of the episodes that ended by a crash or a fall off the terrain."""
+    """Share of the episodes that ended in a crash or a fall off the terrain."""
     return sum(report.failures.get(cause, 0.0) for cause in ("crash", "fell"))
