@@ -238,6 +238,20 @@ def test_pushes_come_at_the_configured_rate_and_speed():
     assert float(velocity[:, :2].mean(0).abs().max()) < 4 * 0.8 / (3 * len(velocity)) ** 0.5
 
 
+def test_a_calm_environment_neither_pushes_nor_sends_elsewhere():
+    config = config_of(robust, 20, randomisation=replace(CALM, push_speed=0.5, push_interval_s=0.1))
+    env = build_env(replace(config, task=replace(config.task, retarget_s=0.1)), threads=1)
+    pushed: list[Tensor] = []
+    env.physics.push = lambda ids, velocity: pushed.append(ids)
+    for calm in (True, False):
+        env.calm = calm
+        before, ended = env.task.command.target_w.clone(), torch.zeros(20, dtype=torch.bool)
+        for _ in range(10):
+            ended |= env.step(torch.zeros(20, 12))[2].bool()
+        moved = (env.task.command.target_w != before).any(-1) & ~ended
+        assert bool(moved.any()) is bool(pushed) is not calm
+
+
 def test_a_push_is_seen_at_once():
     randomisation = replace(CALM, push_speed=1.0, push_interval_s=0.02)
     env = settled(config_of(randomisation=randomisation, observation=ObservationConfig(noise=False)))

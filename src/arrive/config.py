@@ -103,6 +103,8 @@ class ScheduleConfig:
 
     enabled: bool = False
     """Whether to use the schedule."""
+    calm_gait: bool = False
+    """Whether pushes and new targets within an episode begin only once a gait is found."""
     climb_std: Positive = 0.4
     """Upper bound on the standard deviation of the action noise while the levels rise; it falls from this to
     `finish_std`."""

@@ -87,6 +87,8 @@ class ArriveEnv(VecEnv):
         self._assignment, self._learning = assignment, assignment is None
         self.review = 0.0
         """Share of the episodes on an easier level than the robot's own. A schedule may change it."""
+        self.calm = False
+        """Whether nobody is pushed or sent to a new target within an episode. A schedule may change it."""
         self.final_observations = False
         """Whether to record the last observation of every episode, which computes all observations a second time."""
         sensing = config.observation
@@ -198,6 +200,8 @@ class ArriveEnv(VecEnv):
 
     def _terminate(self, state: State) -> Endings:
         self.task.follow(state)
+        if not self.calm:
+            self.task.retarget(state)
         time_over = self.task.advance(self.control_dt)
         return end_episodes(state, self.memory, time_over, self.curriculum.levels)
 
@@ -251,6 +255,8 @@ class ArriveEnv(VecEnv):
         return self.pool.world_index.to(self.device)[self.family_of_env[ids], levels, variant]
 
     def _push(self) -> None:
+        if self.calm:
+            return
         ids, change_w = draw_pushes(self.memory.fresh, self.config.randomisation, self.control_dt, self._generator)
         if len(ids):
             self.physics.push(ids, change_w)

@@ -88,6 +88,7 @@ def joystick() -> Config:
         task=task,
         observation=replace(config.observation, noise_least=0.0),
         randomisation=replace(config.randomisation, push_interval_s=3.0),
+        schedule=replace(config.schedule, calm_gait=True),
     )
 
 

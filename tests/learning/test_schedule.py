@@ -7,7 +7,7 @@ import pytest
 
 from arrive.config import ScheduleConfig
 from arrive.learning.schedule import MAX_STD, settings_at
-from arrive.presets import robust
+from arrive.presets import joystick, robust
 
 CONFIG = replace(robust(), schedule=ScheduleConfig(enabled=True))
 
@@ -44,3 +44,13 @@ def test_without_a_finish_the_last_values_are_those_of_the_climb():
     config = replace(CONFIG, schedule=replace(CONFIG.schedule, finish_from=1.0))
     last = settings_at(config, spent=1.0, seeking=0.0)
     assert (last.stage, last.crash_cost, last.review) == ("finish", 6.0, 0.25)
+
+
+def test_a_calm_gait_is_neither_pushed_nor_sent_elsewhere():
+    """Until the gait is found only, and only where the preset asks for it."""
+    config = joystick()
+    assert settings_at(config, 0.1, seeking=1.0).calm
+    assert settings_at(config, 0.1, seeking=0.5).calm
+    assert not settings_at(config, 0.1, seeking=0.0).calm
+    assert not settings_at(config, 0.9, seeking=1.0).calm
+    assert not settings_at(robust(), 0.1, seeking=1.0).calm

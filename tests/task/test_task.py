@@ -161,7 +161,7 @@ class TestRetargeting:
         begin(task, MANY)
         task.advance(3.0)
         before = task.command.target_w.clone()
-        task.follow(a_state(MANY, base_pos_w=torch.tensor([[3.0, 1.0, 0.6]]).expand(MANY, 3)))
+        task.retarget(a_state(MANY, base_pos_w=torch.tensor([[3.0, 1.0, 0.6]]).expand(MANY, 3)))
         moved = (task.command.target_w != before).any(-1)
         assert float(moved.float().mean()) == pytest.approx(0.02 / 2.0, rel=0.5)
         assert task.command.time_left_s[moved].tolist() == pytest.approx([6.0] * int(moved.sum()))
@@ -178,21 +178,21 @@ class TestRetargeting:
         ):
             begin(task, 50)
             before = task.command.target_w.clone()
-            task.follow(a_state(50))
+            task.retarget(a_state(50))
             assert torch.equal(task.command.target_w, before)
 
     def test_a_target_beyond_a_gap_does_not_count_for_a_robot_that_is_beyond_it_already(self):
         task = a_task(tile_of("gap"), 400, replace(TASK, retarget_s=0.02))
         for x, counting in ((0.0, True), (4.0, False)):
             begin(task, 400)
-            task.follow(a_state(400, base_pos_w=torch.tensor([[x, 0.0, 0.6]]).expand(400, 3)))
+            task.retarget(a_state(400, base_pos_w=torch.tensor([[x, 0.0, 0.6]]).expand(400, 3)))
             assert bool(task.command.counts.any()) == counting
 
     def test_a_share_of_them_is_to_stop_where_the_robot_is(self):
         task = a_task(tile_of("slope", 0.5), MANY, replace(TASK, retarget_s=0.02, stop_share=0.25))
         begin(task, MANY)
         task.command.counts[:] = True
-        task.follow(a_state(MANY, base_pos_w=torch.tensor([[3.0, 0.0, 1.7]]).expand(MANY, 3)))
+        task.retarget(a_state(MANY, base_pos_w=torch.tensor([[3.0, 0.0, 1.7]]).expand(MANY, 3)))
         stops = (task.command.target_w[:, :2] == torch.tensor([3.0, 0.0])).all(-1)
         assert float(stops.float().mean()) == pytest.approx(0.25, abs=0.02)
         # Half a metre above the slope of 27.5 degrees that begins 1 m out, looked up in cells of 5 cm.

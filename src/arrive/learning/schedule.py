@@ -30,6 +30,8 @@ class Settings:
     """Cost of a crash, positive."""
     review: float
     """Share of the episodes on a random easier level."""
+    calm: bool
+    """Whether nobody is pushed or sent to a new target within an episode."""
 
 
 def settings_at(config: Config, spent: float, seeking: float) -> Settings:
@@ -54,6 +56,7 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
         max_std=_between(climb_std, schedule.finish_std, finish),
         crash_cost=_between(schedule.climb_crash_cost, schedule.finish_crash_cost, finish),
         review=_between(schedule.climb_review, schedule.finish_review, finish),
+        calm=False,
     )
     if seeking <= 0.0 or finish > 0.0:
         return climbed
@@ -69,6 +72,7 @@ def _constant(config: Config, entropy: float) -> Settings:
         max_std=MAX_STD,
         crash_cost=-config.task.rewards.crash_cost.weight,
         review=0.0,
+        calm=config.schedule.enabled and config.schedule.calm_gait,
     )
 
 

@@ -162,6 +162,7 @@ class Trainer:
         """Apply the schedule's values for the next iteration to the environment."""
         settings = settings_at(self.config, spent, self.env.exploration.paid)
         self.env.review, self.env.rewarder.crash_cost = settings.review, -settings.crash_cost
+        self.env.calm = settings.calm
         return settings
 
     def _collect_and_learn(self, settings: Settings) -> tuple[dict[str, float], dict[str, float]]:

@@ -42,8 +42,8 @@ class PositionConfig(TaskConfig):
     """Share of the targets that are drawn only beyond the terrain that is to be crossed, where they count for the
     curriculum. Without it many targets need no crossing: among pillars, a straight walk reaches two thirds of them."""
     nearest_share: Share = 0.0
-    """Share of those targets that are just beyond the terrain to be crossed: robots must also learn to stop there and to
-    stand with their hind feet near an edge."""
+    """Share of those targets that are just beyond that terrain, so that robots also learn to stop there and to stand
+    with their hind feet near an edge."""
     retarget_s: NotNegative = 0.0
     """Mean time after which a robot in training gets a new target and a new time for it within the same episode; 0 for
     never [s]."""
@@ -177,13 +177,16 @@ class FinalPositionTask:
         return torch.cat([point, ground + self._config.target_height], dim=-1)
 
     def follow(self, state: State) -> None:
-        """Replace targets at random moments, if the configuration asks for it.
-
-        A new target beyond terrain that the robot has already crossed does not count for the curriculum.
-        """
+        """Only the end of an episode matters, not the way; on a cruise the target stays ahead of the robot."""
         if isinstance(self._trial, Cruise):
             everyone = torch.arange(len(self._tile_ids), device=self._tile_ids.device)
             self._command.target_w = self._targets(Start(everyone, state.base_pos_w, self._tile_ids))
+
+    def retarget(self, state: State) -> None:
+        """At random moments a new target replaces the present one.
+
+        If it lies beyond terrain that the robot has already crossed, it does not count for the curriculum.
+        """
         if self._trial is not None or self._config.retarget_s <= 0.0:
             return
         draw = torch.rand(len(self._tile_ids), generator=self._generator, device=self._tile_ids.device)

@@ -139,6 +139,9 @@ class Task(Protocol):
     def follow(self, state: State) -> None:
         """Update what the task remembers of the robots, after a step."""
 
+    def retarget(self, state: State) -> None:
+        """Give some robots new commands in the middle of their training episodes, if the task does that."""
+
     def advance(self, dt: float) -> Tensor:
         """Advance the time by `dt` [s]. Returns (num_envs,) bool: the episode's time is up."""
 

@@ -254,6 +254,9 @@ class VelocityTask:
         command.farthest_x = torch.maximum(command.farthest_x, offset[:, 0])
         command.outside = (state.base_pos_w[:, :2].abs() > TILE_END).any(-1)
 
+    def retarget(self, state: State) -> None:
+        """Nothing: commands change with time alone, see `advance`."""
+
     def advance(self, dt: float) -> Tensor:
         command = self._command
         if isinstance(self._trial, Cruise):
