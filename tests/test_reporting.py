@@ -223,7 +223,7 @@ def test_wilson_refuses_nonsense(measurement):
         wilson_interval(*measurement)
 
 
-def make_episode() -> pictures.Episode:
+def make_episode(target_radius: float = 0.5) -> pictures.Episode:
     """A box that slides 2 m over a plane, onto a step of 0.2 m."""
     model = mujoco.MjModel.from_xml_string("""
         <mujoco><worldbody>
@@ -234,7 +234,7 @@ def make_episode() -> pictures.Episode:
         </worldbody></mujoco>""")
     qpos = np.zeros((51, 7))
     qpos[:, 0], qpos[:, 2], qpos[:, 3] = np.linspace(0, 2, 51), 0.5, 1.0
-    return pictures.Episode(model, qpos, (2.0, 0.0, 0.5), 0.02, "arrived", "box")
+    return pictures.Episode(model, qpos, (2.0, 0.0, 0.5), target_radius, 0.02, "arrived", "box")
 
 
 @pytest.fixture
@@ -274,6 +274,16 @@ def test_a_strip_shows_robot_and_target(backend, tmp_path):
     assert robot[:, half:].sum() > 200
     assert target[:, :half].sum() > 100
     assert [path.name for path in tmp_path.iterdir()] == ["strip.png"]
+
+
+def test_the_disc_is_where_robots_arrive(backend):
+    """A disc of twice the radius has four times the area: green beside the step's brown, at the last step."""
+    seen = []
+    for radius in (0.25, 0.5):
+        with pictures.open_stage(make_episode(radius), 400, 320) as stage:
+            red, green, blue = np.moveaxis(stage.draw(50).astype(int), -1, 0)
+        seen.append(((green > 1.05 * red) & (green > 1.05 * blue)).sum())
+    assert seen[1] > 2 * seen[0] > 0
 
 
 def test_a_film_plays_in_real_time(backend, tmp_path, monkeypatch):

@@ -14,7 +14,7 @@ from arrive.evaluation.usage import usage_of
 from arrive.files import read_json
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
-from arrive.task.final import PositionConfig
+from arrive.task.final import arrival_radius
 from arrive.task.task import Trial
 from arrive.terrain import Family
 from arrive.terrain.build import EVALUATION_TARGET
@@ -184,8 +184,6 @@ def describe(policy: Policy) -> dict[str, Any]:
 def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | None) -> dict[str, Any]:
     """Everything that the figures depend on besides policy and code."""
     randomisation, task = randomised(policy.config.randomisation), policy.config.task
-    # A task without targets does not say how near counts: it is the paper's for those that have them.
-    radius = task.arrival_radius if isinstance(task, PositionConfig) else PositionConfig.arrival_radius
     return {
         "name": NAME,
         "episodes": episodes,
@@ -194,7 +192,7 @@ def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | Non
         "layout": "evaluation",
         "terrain_m": 4.0,
         "trial": asdict(TRIAL) | {"target": list(TRIAL.target)},
-        "arrival_radius_m": radius,
+        "arrival_radius_m": arrival_radius(task),
         "worlds_per_level": VARIANTS,
         "randomisation": to_dict(randomisation),
         "observation_noise": policy.config.observation.noise,

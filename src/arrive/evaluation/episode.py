@@ -16,6 +16,8 @@ class Episode:
     """(steps, nq) positions after each policy step, the first at time 0 [m, rad, quaternions]."""
     target_w: tuple[float, float, float]
     """The place to reach [m]."""
+    target_radius: float
+    """A robot that is nearer to it has arrived [m]."""
     control_dt: float
     """Time between two rows of `qpos` [s]."""
     outcome: str

@@ -12,6 +12,7 @@ from arrive.env import POLICY, ArriveEnv
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.motion import MotionMeter
 from arrive.physics.world import compile_world
+from arrive.task.final import arrival_radius
 
 Progress = Callable[[int, int], None]
 
@@ -123,6 +124,7 @@ def episode(env: ArriveEnv, played: Played, column: int, caption: str) -> Episod
         # The last pose is left out: the robot has been reset by then.
         qpos=played.qpos[: int(played.steps[env_id]), column],
         target_w=played.target_w[env_id].numpy(),
+        target_radius=arrival_radius(env.config.task),
         control_dt=env.control_dt,
         outcome="arrived" if bool(played.success[env_id]) else played.cause[env_id],
         caption=caption,

@@ -17,8 +17,6 @@ from arrive.render.graphics import open_renderer
 FRAME_SIZE = (400, 320)
 """Width and height of one frame of a strip [pixels]."""
 FILM_SIZE = (768, 432)
-TARGET_RADIUS = 0.5
-"""The disc around the target: closer than this counts as arrived [m]."""
 DOT_SPACING = 0.1
 """Distance between the dots of the path walked [m]."""
 MARGIN = 0.7
@@ -134,7 +132,7 @@ class Stage:
     def _mark_target(self) -> None:
         ground = self._episode.ground_path_w[-1] + np.array([0.0, 0.0, 0.04])
         scene, target = self._renderer.scene, np.asarray(self._episode.target_w)
-        disc, color = (TARGET_RADIUS, 0.02, 0), (*TARGET_COLOR, 0.25)
+        disc, color = (self._episode.target_radius, 0.02, 0), (*TARGET_COLOR, 0.25)
         _add_geom(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, disc, ground, color, emission=0.4)
         _add_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, (0.1, 0, 0), target, (*TARGET_COLOR, 0.6))
 

@@ -50,7 +50,15 @@ def _attempt(playground: Playground) -> Episode | None:
             arrived_s = playground.time_s
     ground = playground.ground
     caption = f"{ground.family.name} {ground.amount}".strip()
-    return Episode(playground.robot.model, np.array(places), playground.aim, playground.control_dt, "arrived", caption)
+    return Episode(
+        model=playground.robot.model,
+        qpos=np.array(places),
+        target_w=playground.aim,
+        target_radius=radius,
+        control_dt=playground.control_dt,
+        outcome="arrived",
+        caption=caption,
+    )
 
 
 def frames(episode: Episode) -> Iterator[Image.Image]:

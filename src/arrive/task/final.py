@@ -80,6 +80,11 @@ class FinalConfig(PositionConfig):
         return (*super().rules(), window)
 
 
+def arrival_radius(task: TaskConfig) -> float:
+    """How near to its target a robot has arrived [m]; of a task without targets, what other tasks have by default."""
+    return task.arrival_radius if isinstance(task, PositionConfig) else PositionConfig.arrival_radius
+
+
 class FinalPositionTask:
     """Position targets with a deadline."""
 
