@@ -301,8 +301,9 @@ def test_options_that_do_not_go_together_are_refused(trained, capsys, options, w
 def test_the_card_compares_with_the_protocol_at_the_same_value():
     entry = {"value": 0.4}
     level = {"value": 0.4, "success": 0.9, "interval": [0.8, 0.95]}
-    difficulty = {"families": {"gap": {"levels": [{"value": 0.3}, level]}}}
-    assert "90.0 (80.0-95.0) %" in protocol_words(difficulty, "gap", entry)
+    trial = {"target": [4.5, 0.0], "duration_s": 7.0}
+    difficulty = {"families": {"gap": {"levels": [{"value": 0.3}, level]}}, "protocol": {"trial": trial}}
+    assert "(4.5 m ahead, 7 s): 90.0 (80.0-95.0) %" in protocol_words(difficulty, "gap", entry)
     assert protocol_words(difficulty, "gap", {"value": 0.35}) == ""
     assert protocol_words(None, "gap", entry) == ""
 

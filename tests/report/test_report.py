@@ -8,9 +8,11 @@ import pytest
 
 from arrive.errors import ArriveError
 from arrive.evaluation.energy import energy_content
-from arrive.report import experiments
+from arrive.report import experiments, page
+from arrive.report.charts import speed_chart
 from arrive.report.experiments import energy_section, gait_section, stability_section, window_section
 from arrive.report.markup import chart, command_line, missing
+from arrive.report.records import Run
 from arrive.report.statements import energy_statements, gait_statements, stability_statements
 from arrive.report.training_charts import stability_figure, window_figure
 from arrive.report.write import read_results
@@ -212,3 +214,19 @@ class TestResults:
             read_results({"gait": Path("other.json")})
         with pytest.raises(ArriveError, match=r"cannot read nowhere.json"):
             read_results({"gait": Path("nowhere.json")})
+
+
+def test_the_use_of_the_time_tells_the_trial_that_was_run():
+    profile = {"time_s": [0.1, 0.2], "mean_m_s": [0.5, 0.6]}
+    quartiles = {"arrival_time_s": [3.0, 4.0, 5.0], "path_length_m": [5.0, 5.5, 6.0]}
+    usage = {"gap": [quartiles | {"value": 0.1, "episodes": 9, "speed_profile": profile}]}
+    level = {"value": 0.1, "episodes": 10, "success": 0.9, "interval": [0.6, 0.98], "failures": {"late": 1}}
+    family = {"levels": [level], "parameter": "width", "unit": "m"}
+    trial = {"duration_s": 12.0, "walk": 6.0, "target": [7.0, 0.0]}
+    difficulty = {"families": {"gap": family}, "policy": {"usage": usage}, "protocol": {"trial": trial}}
+    run = Run("twelve", {"config": {"task": {"name": "final"}}}, {}, difficulty, {})
+    text = page._usage([run])
+    assert "12 s were given" in text
+    assert "6 m walked" in text
+    axes, *_ = speed_chart([run]).axes
+    assert axes.get_xlim() == (0.0, 12.0)

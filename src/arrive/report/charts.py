@@ -78,7 +78,7 @@ def speed_chart(runs: Sequence[Run], columns: int = COLUMNS, level: int = 0) -> 
                 axes.axvline(median, color=color, linestyle=(0, (1, 2)), linewidth=1.4)
                 title = f"{name} {rows[level]['value']:.3g} {family.unit}" if family.unit else name
         axes.set_ylim(bottom=0)
-        axes.set_xlim(0, 8)
+        axes.set_xlim(0, max(run.difficulty["protocol"]["trial"]["duration_s"] for run in runs if run.difficulty))
         finish(axes, title, "time [s]", "speed [m/s]")
     legend(figure, drawn)
     return figure

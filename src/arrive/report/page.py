@@ -246,10 +246,12 @@ def _usage(runs: Sequence[Run]) -> str:
                 )
     if not rows:
         return ""
+    trial = next(run.difficulty["protocol"]["trial"] for run in runs if run.difficulty)
     return (
-        "<h2>Use of the time</h2><p class=soft>Successful episodes at the easiest level of each terrain; 8 s were "
-        "given. Arrival is the first moment within reach of the target (V: 4 m walked), path the horizontal way until "
-        "then; median and quartiles. Chart: mean speed; dotted: median arrival.</p>"
+        "<h2>Use of the time</h2><p class=soft>Successful episodes at the easiest level of each terrain; "
+        f"{trial['duration_s']:g} s were given. Arrival is the first moment within reach of the target (V: "
+        f"{trial['walk']:g} m walked), path the horizontal way until then; median and quartiles. Chart: mean "
+        "speed; dotted: median arrival.</p>"
         f"{chart(lambda columns: speed_chart(runs, columns), 'speed over time')}"
         "<div class=wide><table><tr><th>policy</th><th>easiest</th><th>arrival time</th><th>path length</th>"
         f"<th>episodes</th></tr>{''.join(rows)}</table></div>"

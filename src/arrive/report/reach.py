@@ -63,4 +63,8 @@ def protocol_words(difficulty: dict[str, Any] | None, name: str, entry: dict[str
     """What the protocol of maximum difficulty found at the same value, to compare with; empty where nothing."""
     levels: Sequence[dict[str, Any]] = ((difficulty or {}).get("families", {}).get(name) or {}).get("levels", ())
     same = [level for level in levels if abs(level["value"] - entry["value"]) < 1e-6]
-    return f"The protocol's figure there (5 m ahead, 8 s): {share_words(same[0])} %." if same else ""
+    if not same:
+        return ""
+    trial = difficulty["protocol"]["trial"]
+    task = f"{trial['target'][0]:g} m ahead, {trial['duration_s']:g} s"
+    return f"The protocol's figure there ({task}): {share_words(same[0])} %."
