@@ -13,9 +13,11 @@ from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.physics.pool import Spread, TileSet, build_pool
 from arrive.robots import get_robot
+from arrive.task.final import PositionConfig
 from arrive.task.registry import get_task
 from arrive.task.task import Cruise, Setting, Trial
 from arrive.terrain import Family, Layout, get_family
+from arrive.terrain.build import TARGET_DISTANCE
 from arrive.terrain.levels import level_values
 
 
@@ -67,7 +69,8 @@ def build_env(
     if device is None:
         device = "cpu" if placement.assignment is None else placement.assignment[0].device
     device = torch.device(device)
-    tile_set = TileSet(families, values, placement.layout, config.terrain.variants)
+    distance = config.task.target_distance if isinstance(config.task, PositionConfig) else TARGET_DISTANCE
+    tile_set = TileSet(families, values, placement.layout, config.terrain.variants, distance)
     spread = Spread(config.randomisation.friction, config.randomisation.payload_kg)
     pool = build_pool(robot, tile_set, spread, config.physics, seed, progress).to(device)
     physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device, network)

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
+from arrive.build import build_env
 from arrive.errors import ArriveError
 from arrive.physics.scene import add_tile
+from arrive.recipe import make_config
 from arrive.terrain import FAMILIES, build_tile, get_family, parse_families
 from arrive.terrain.build import target_share
 from arrive.terrain.obstacles import CLEAR_RADIUS, PASSAGE
@@ -320,6 +322,16 @@ def test_a_gap_that_swallows_all_targets_is_refused():
         build_tile(FAMILIES["gap"], 4.0, np.random.default_rng(0), "training")
 
 
+def test_targets_are_looked_for_where_training_draws_them():
+    """Before the first gap, 1.2 m away, there is nothing to cross; a task that sends nobody farther says so at once."""
+    near = (0.2, 0.7)
+    with pytest.raises(ArriveError, match=r"'gap' .* 0\.0% of the targets at 0\.2 to 0\.7 m are valid and beyond it"):
+        build_tile(FAMILIES["gap"], 0.2, np.random.default_rng(0), "training", target_distance=near)
+    config = make_config(parse_families("gap"), num_envs=1, overrides=(f"task.target_distance={list(near)}",))
+    with pytest.raises(ArriveError, match=r"targets at 0\.2 to 0\.7 m"):
+        build_env(config)
+
+
 def test_names():
     assert [family.name for family in parse_families("pit, gap")] == ["pit", "gap"]
     assert parse_families("all") == tuple(FAMILIES.values())
@@ -335,7 +347,8 @@ def test_names():
 def test_target_share_is_uniform_in_radius():
     """Half of the radii from 1 to 5 m are below 3 m, although that disc has much less than half of the area."""
     x, y = np.meshgrid(cell_centers(), cell_centers(), indexing="ij")
-    assert target_share(np.hypot(x, y) < 3.0) == pytest.approx(0.5, abs=0.02)
+    assert target_share(np.hypot(x, y) < 3.0, (1.0, 5.0)) == pytest.approx(0.5, abs=0.02)
+    assert target_share(np.hypot(x, y) < 3.0, (2.0, 6.0)) == pytest.approx(0.25, abs=0.02)
 
 
 def test_dilation_grows_a_cell_to_a_disc():

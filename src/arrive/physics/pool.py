@@ -12,6 +12,7 @@ from arrive.physics.options import PhysicsConfig
 from arrive.physics.world import compile_world
 from arrive.robots.robot import Robot
 from arrive.terrain import Family, Layout, Tile, build_tile
+from arrive.terrain.build import TARGET_DISTANCE
 from arrive.terrain.rasters import Rasters, stack_rasters
 
 
@@ -25,6 +26,8 @@ class TileSet:
     layout: Layout
     variants: int
     """Worlds per family and level."""
+    target_distance: tuple[float, float] = TARGET_DISTANCE
+    """How far from the start training's targets are drawn [m]."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def build_pool(
         for level, value in enumerate(levels):
             for variant in range(tile_set.variants):
                 if variant == 0 or family.random:
-                    tiles.append(build_tile(family, value, rng, tile_set.layout, robot.size))
+                    tiles.append(build_tile(family, value, rng, tile_set.layout, robot.size, tile_set.target_distance))
                 index[f, level, variant] = len(worlds)
                 tile_of_world.append(len(tiles) - 1)
                 friction, payload = rng.uniform(*spread.friction), rng.uniform(*spread.payload_kg)
