@@ -288,9 +288,9 @@ def test_one_value_of_the_protocol_is_not_kept_as_its_answer(trained, capsys, mo
     ("options", "words"),
     [
         ("--time 3,x", "--time must be numbers joined by commas, such as 1,2.5, not '3,x'"),
-        ("--time 3 --protocol arrival", "--time goes with --protocol reach, not arrival"),
-        ("--direction 0 --protocol difficulty", "--direction goes with --protocol reach, not difficulty"),
-        ("--levels 3", "--levels goes with --protocol difficulty"),
+        ("--time 3 --protocol arrival", "--time needs --protocol reach, not arrival"),
+        ("--direction 0 --protocol difficulty", "--direction needs --protocol reach, not difficulty"),
+        ("--levels 3", "--levels needs --protocol difficulty"),
         ("--protocol reach --episodes 0", "episodes must be at least 1"),
     ],
 )

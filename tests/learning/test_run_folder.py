@@ -114,7 +114,7 @@ def test_a_start_that_was_cut_off_can_be_begun_again(run, refused):
         (run / name).unlink()
     (run / ".checkpoint.pt.abc.tmp.pt").write_text("half")
     (run / LOCK_NAME).write_text(json.dumps({"pid": 1, "host": os.uname().nodename}))
-    assert f"no checkpoint.pt: the start was cut off; begin it again with --out {run}" in refused(resume, run)
+    assert f"no checkpoint.pt, because its start was interrupted; start it again with --out {run}" in refused(resume, run)
     begin(run, 2)
     assert names(run) == WHOLE
     assert len(read_log(run)["iteration"]) == 2
@@ -306,7 +306,7 @@ def test_ctrl_c_during_the_start_says_how_to_go_on(tmp_path, run, refused, monke
     assert "interrupted; nothing was trained yet" in refused(begin, tmp_path / "new", 1)
     assert not (tmp_path / "new").exists()
     assert (
-        f"interrupted; go on from the last checkpoint with: arrive train flat --resume {run} --iterations 4"
+        f"interrupted; resume from the last checkpoint with: arrive train flat --resume {run} --iterations 4"
         in refused(resume, run)
     )
     assert names(run) == WHOLE
@@ -319,7 +319,7 @@ def test_ctrl_c_before_that_is_one_line_too(tmp_path, refused, monkeypatch):
 
 def test_a_second_ctrl_c_ends_at_once(run, refused, monkeypatch):
     do_at_iteration(monkeypatch, 4, interrupt)
-    assert "go on from the last checkpoint" in refused(resume, run, 5)
+    assert "resume from the last checkpoint" in refused(resume, run, 5)
     monkeypatch.undo()
     resume(run, 5)
     assert read_log(run)["iteration"] == [1, 2, 3, 4, 5]

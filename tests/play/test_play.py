@@ -598,7 +598,7 @@ def test_the_command_serves_and_says_whether_it_kept_real_time(capsys):
     cli.main(["play", "--port", str(port), "--seconds", "0.5", "--terrain", "gap=0.4"])
     out = capsys.readouterr().out
     assert f"http://127.0.0.1:{port}" in out
-    assert re.search(r"simulated \d+\.\d% of the 0\.\d s asked for; falls: 0", out)
+    assert re.search(r"simulated \d+\.\d% of 0\.\d s in real time; falls: 0", out)
 
 
 def test_nothing_is_drawn_again_unless_it_changed():

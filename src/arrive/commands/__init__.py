@@ -1,1 +1,1 @@
-"""What each command does, one module per group; imported when it is called, so that help answers at once."""
+"""The commands, one module per group. A module is imported when its command runs, so that help is fast."""

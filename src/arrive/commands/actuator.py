@@ -1,4 +1,4 @@
-"""`arrive actuator record | fit | show | import`: networks that stand for a drive."""
+"""`arrive actuator record | fit | show | import`: actuator networks."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from arrive.errors import ArriveError
 from arrive.fields import Range
 
 PERIOD = Range(1e-5, 0.1)
-"""Of a physics step [s]."""
+"""Range of the physics step [s]."""
 BYTES_PER_SAMPLE = 80
-"""Of a log while it is made: target, load, position, velocity and torque, and copies of them."""
+"""Memory for a log while it is recorded: target, load, position, velocity and torque, with copies."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Record:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive_log.npz")
     """File to write, .npz or .csv."""
     joints: Annotated[int, COUNT] = 40
-    """Joints side by side, each with a load of its own."""
+    """Number of joints, simulated in parallel, each with its own load."""
     seconds: Annotated[float, POSITIVE] = 20.0
     """Length of the log [s]."""
     period_s: Annotated[float, PERIOD] = 0.005
@@ -38,55 +38,55 @@ class Record:
 
 @dataclass(frozen=True)
 class Fit:
-    """Train an actuator network on logged joints and measure it on those held out."""
+    """Train an actuator network on logged joints and measure its error on held-out trajectories."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV or NPZ files with time [s], target, position [rad], velocity [rad/s] and torque [N m]."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
-    """File to write; a picture of predicted against measured torque goes beside it."""
+    """File to write. A picture of predicted and measured torque is written beside it."""
     period_s: Annotated[float, PERIOD] = 0.005
-    """Physics step of the simulation that will run it; a multiple of the logs' period [s]."""
+    """Physics step of the simulation that will use the network; a multiple of the logs' period [s]."""
     architecture: Literal["lstm", "taps"] = "lstm"
-    """`lstm`: legged_gym's; `taps`: delayed inputs and softsign units, Hwangbo et al. 2019."""
+    """`lstm`: as in legged_gym; `taps`: delayed inputs and softsign units, as in Hwangbo et al. 2019."""
     units: Annotated[tuple[int, ...], Range(1, 1024)] = ()
     """Units of each hidden layer; 8 8 for `lstm` and 32 32 32 for `taps` by default."""
     taps_s: Annotated[tuple[float, ...], Range(0, 1)] = (0.0, 0.01, 0.02)
     """Delays of the inputs of `taps`, multiples of the period [s]."""
     epochs: Annotated[int, COUNT] = 150
-    """At most so many passes over the data."""
+    """Largest number of passes over the data."""
     patience: Annotated[int, COUNT] = 20
-    """Stops after so many passes without a smaller error on the trajectories kept for that."""
+    """Stop after this many passes without a smaller error on the validation trajectories."""
     learning_rate: Annotated[float, Range(0.0, 1.0, above=True)] = 5e-3
-    """First learning rate; it falls along a cosine."""
+    """Initial learning rate, with cosine decay."""
     data: str = ""
-    """What the logs are, for whoever reads the file; their names by default."""
+    """Description of the logs, stored in the file; the logs' names by default."""
     seed: Annotated[int, SEED] = 1
-    """Seed of first weights and order."""
+    """Seed of the initial weights and the order of the data."""
     threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
 
 
 @dataclass(frozen=True)
 class Show:
-    """Draw step and frequency response and the torque-speed plane of networks beside the robot's PD motor."""
+    """Plot step response, frequency response and torque-speed plane of networks and of the robot's PD motor."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """Files written by `arrive actuator fit`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("motors.png")
     """Picture to write."""
     clip: Literal["affine", "constant", "none"] = "affine"
-    """What cuts the networks' torque, as `physics.motor_clip`."""
+    """How the networks' torque is clipped, as in `physics.motor_clip`."""
     robot: str = "anymal_c"
-    """Whose motor is drawn for comparison and whose limits cut."""
+    """Robot whose motor is plotted for comparison, and whose limits clip the torque."""
     joint: str | None = None
-    """Of the robot's joints the one whose motor that is; the first by default."""
+    """Joint of the robot whose motor that is; the first by default."""
     inertia: Annotated[float, POSITIVE] = 0.2
-    """Of the load that the step turns, the rotor included [kg m^2]."""
+    """Inertia of the load in the step response, including the rotor [kg m^2]."""
 
 
 @dataclass(frozen=True)
 class Import:
-    """Bring an LSTM from plain arrays under PyTorch's names, such as legged_gym's, into a file of this format."""
+    """Convert an LSTM from plain arrays with PyTorch's names, such as legged_gym's, into a network file."""
 
     file: tyro.conf.Positional[Path]
     """NPZ file with `lstm.*`, `linear.*`, `in_scale` and `out_scale`."""
@@ -95,7 +95,7 @@ class Import:
     period_s: Annotated[float, PERIOD] = 0.005
     """Time between two calls of the network [s]."""
     data: str = ""
-    """What it is, its authors and licence; the file's name by default."""
+    """Description of the network, its authors and its licence; the file's name by default."""
 
 
 Action = (
@@ -108,13 +108,13 @@ Action = (
 
 @dataclass(frozen=True)
 class Actuator:
-    """Fit, look at and bring in networks that stand for a drive, see docs/motors.md."""
+    """Record, fit, plot and import actuator networks, see docs/motors.md."""
 
     action: tyro.conf.OmitArgPrefixes[tyro.conf.OmitSubcommandPrefixes[Action]] = field()
 
 
 def actuator(command: Actuator) -> None:
-    """Do what the action says."""
+    """Run the chosen action."""
     {Record: record, Fit: fit, Show: show, Import: import_}[type(command.action)](command.action)
 
 
@@ -132,7 +132,7 @@ def record(options: Record) -> None:
         raise ArriveError(f"--period-s must be a multiple of {FINE_STEP_S:g}, and --seconds at least two periods")
     steps = round(samples)
     if options.out.suffix not in (".npz", ".csv"):
-        raise ArriveError(f"{options.out}: a log is an .npz or a .csv file")
+        raise ArriveError(f"{options.out}: the name of a log must end in .npz or .csv")
     check_room(options.joints * steps, BYTES_PER_SAMPLE, "samples", "--joints or --seconds")
     rng = np.random.default_rng(options.seed)
     targets = excite(rng, steps, options.joints, options.period_s)
@@ -147,7 +147,7 @@ def record(options: Record) -> None:
 
 
 def _write_csv(path: Path, log: dict) -> None:
-    """One row per sample and joint, joint after joint."""
+    """Write one row per sample and joint, one joint after the other."""
     names = [name for name in log if name != "time"]
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -158,7 +158,7 @@ def _write_csv(path: Path, log: dict) -> None:
 
 
 def fit(options: Fit) -> None:
-    """Train a network, write it, and say and draw how good it is."""
+    """Train a network, write it, and print and plot its errors."""
     from rich.progress import Progress, TextColumn
 
     from arrive.actuation import fit as fitting
@@ -168,7 +168,7 @@ def fit(options: Fit) -> None:
     from arrive.commands.threads import use_threads
 
     if not options.logs:
-        raise ArriveError("name at least one log; `arrive actuator record` makes one of a simulated drive")
+        raise ArriveError("name at least one log; `arrive actuator record` records one from a simulated drive")
     use_threads(options.threads)
     trajectories = read_logs(options.logs, options.period_s)
     names = ("architecture", "units", "taps_s", "epochs", "patience", "learning_rate", "seed")
@@ -196,11 +196,11 @@ def _print_errors(result, trajectories: int) -> None:
             f"  {name}: RMS {errors.rms_nm:.2f} N m, {errors.share:.1%} of the range of {errors.range_nm:.0f} N m, "
             f"99 % within {errors.most_nm:.1f} N m"
         )
-    print(f"  that PD law: {result.pd_gains[0]:.1f} N m/rad, {result.pd_gains[1]:.2f} N m s/rad")
+    print(f"  best PD law: {result.pd_gains[0]:.1f} N m/rad, {result.pd_gains[1]:.2f} N m s/rad")
 
 
 def show(options: Show) -> None:
-    """Draw networks beside the PD motor."""
+    """Plot networks and the PD motor."""
     from arrive.actuation.network_file import read_network
     from arrive.actuation.pictures import draw_responses
     from arrive.actuation.responses import network_drive, pd_drive
@@ -208,7 +208,7 @@ def show(options: Show) -> None:
     from arrive.robots import get_robot
 
     if not options.files:
-        raise ArriveError("name at least one network; `arrive actuator fit` makes one")
+        raise ArriveError("name at least one network; `arrive actuator fit` trains one")
     motor = get_robot(options.robot).motor_of(options.joint)
     networks = {path: read_network(path) for path in options.files}
     drives = [network_drive(path.stem, network, options.clip) for path, network in networks.items()]
@@ -223,7 +223,7 @@ def show(options: Show) -> None:
 
 
 def import_(options: Import) -> None:
-    """Convert arrays of others."""
+    """Convert plain arrays into a network file."""
     from arrive.actuation.conversion import read_lstm_arrays
     from arrive.actuation.network_file import write_network
 

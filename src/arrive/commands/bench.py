@@ -29,7 +29,7 @@ LABELS = {
 
 
 def bench(command: Bench) -> None:
-    """Measure and print; write the JSON file where one is named."""
+    """Measure and print the result, and write it to the JSON file if one is named."""
     if command.deployment:
         result = bench_deployment(command.policy)
         print_deployment(result)
@@ -42,7 +42,7 @@ def bench(command: Bench) -> None:
 
 def _throughput(command: Bench) -> dict[str, Any]:
     if command.policy:
-        raise ArriveError("--policy names what --deployment measures; --start-from names the run that moves the robots")
+        raise ArriveError("--policy needs --deployment; use --start-from for the run whose policy moves the robots")
     threads = use_threads(command.threads)
     families = parse_families(command.terrain)
     config = make_config(families, command.preset, command.task, command.num_envs, None, command.set, command.robot)

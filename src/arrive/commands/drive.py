@@ -1,4 +1,4 @@
-"""`arrive drive`: walk the simulated robot with a gamepad or a file of sticks."""
+"""`arrive drive`: drive the simulated robot with a gamepad or a script."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def run_drive(command: Drive) -> None:
-    """Drive the deployment controller of a policy and say how it went."""
+    """Drive a policy's deployment controller and print a summary."""
     need("onnxruntime")
     from arrive.deployment import Controller, ControlLog
     from arrive.deployment.opening import open_policy

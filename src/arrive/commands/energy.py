@@ -1,4 +1,4 @@
-"""`arrive energy`: what walking costs."""
+"""`arrive energy`: energy consumption of walking."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def energy(command: Energy) -> None:
-    """Let policies walk at each speed, print what it costs, and write JSON and figure 5."""
+    """Let policies walk at each speed, print the energy used, and write the JSON file and figure 5."""
     check_arguments(command.speeds, command.robots, command.distance)
     # As in `eval`: small networks gain nothing from torch's threads.
     threads = use_threads(command.threads)
@@ -67,18 +67,18 @@ def load_policies(paths: tuple[Path, ...]) -> list[Policy]:
     """Read policies of different names on the CPU.
 
     Raises:
-        ArriveError: one cannot be read, or two have one name.
+        ArriveError: one cannot be read, or two have the same name.
     """
     policies = [read_policy(path) for path in paths]
     names = [policy.name for policy in policies]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise ArriveError(f"two policies are called {', '.join(repeated)}; name each once")
+        raise ArriveError(f"two policies are called {', '.join(repeated)}; each needs its own name")
     return policies
 
 
 def print_energy(content: dict[str, Any]) -> None:
-    """The figures of one policy as a table."""
+    """Print one policy's results as a table."""
     robots = content["speeds"][0]["robots"]
     title = f"{content['name']} ({content['task']}), {robots} robots a speed"
     table = Table(title=title, title_justify="left", padding=(0, 0))
@@ -96,7 +96,7 @@ def print_energy(content: dict[str, Any]) -> None:
 
 
 def with_interval(figure: list[float] | None) -> str:
-    """A value and half of its 95 % interval, with the interval's digits, such as "1.31±0.04"."""
+    """A value and half of its 95 % interval, such as "1.31±0.04", with as many digits as the interval needs."""
     if figure is None:
         return "-"
     value, low, high = figure

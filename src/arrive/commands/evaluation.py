@@ -1,4 +1,4 @@
-"""`arrive eval` and `arrive report`: what policies can do."""
+"""`arrive eval` and `arrive report`: success rates of policies."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ if TYPE_CHECKING:
     from arrive.commands.options import Eval, Report
 
 ERRANDS = {"target_distance": "distances", "direction": "directions", "time": "times"}
-"""Options of the protocol `reach`, and what each gives to `Errands`."""
+"""Options of the protocol `reach`, and the fields of `Errands` that they set."""
 
 
 def evaluate(command: Eval) -> None:
-    """Measure policies, print tables and what they fail at, and write JSON and pictures."""
+    """Evaluate policies, print success rates and causes of failure, and write JSON files and pictures."""
     if command.json and command.others:
-        raise ArriveError("--json takes the result of one policy; measure several one by one")
+        raise ArriveError("--json works with a single policy; evaluate several one by one")
     errands = {name: value for name in ERRANDS if (value := getattr(command, name)) is not None}
     protocol = command.protocol or ("reach" if errands else "arrival")
     if errands and protocol != "reach":
-        raise ArriveError(f"--{next(iter(errands)).replace('_', '-')} goes with --protocol reach, not {protocol}")
+        raise ArriveError(f"--{next(iter(errands)).replace('_', '-')} needs --protocol reach, not {protocol}")
     if command.levels is not None and protocol != "difficulty":
-        raise ArriveError("--levels goes with --protocol difficulty; choose one level of the policy's own with --level")
-    # Small networks gain little from torch's threads, lose six times the speed where the machine is busy, and one
-    # thread gives the same sums on every machine of a kind.
+        raise ArriveError("--levels needs --protocol difficulty; choose one of the policy's own levels with --level")
+    # Small networks gain little from torch's threads and are six times slower with them on a busy machine. One thread
+    # also gives the same sums on machines with different numbers of cores.
     threads = use_threads(command.threads)
     torch.set_num_threads(1)
     device = choose_device(command.device)
@@ -96,13 +96,13 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
 
 def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     if command.layout == "training":
-        raise ArriveError("--protocol difficulty is measured on the evaluation layout; leave --layout out")
+        raise ArriveError("--protocol difficulty always uses the evaluation layout; leave out --layout")
     difficulty.check_levels(command.levels)
     chosen, folder = _chosen(command, policy), policy.folder
     one = {family.name: cell for family, cell in chosen if cell}
     if one and command.levels is not None:
         raise ArriveError("--levels spreads levels over a terrain's range; leave it out to measure one level or value")
-    # One value is no answer to how hard a terrain is still solved: it is not kept as that.
+    # A single value does not show the hardest solved terrain, so it is not stored as that result.
     out = command.json or (None if one else folder / DIFFICULTY_NAME)
     if out is not None:
         rows = sum(
@@ -172,10 +172,10 @@ def _write_card(folder: Path) -> None:
 
 
 def parse_numbers(option: str, text: str) -> tuple[float, ...]:
-    """Numbers joined by commas.
+    """Parse numbers joined by commas.
 
     Raises:
-        ArriveError: something else.
+        ArriveError: the text is something else.
     """
     try:
         return tuple(float(part) for part in text.split(","))
@@ -225,7 +225,7 @@ def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict:
 
 
 def _write_pictures(folder: Path, episodes: list[Episode], films: int, names: list[str] | None = None) -> None:
-    """A strip per episode and films of the first ones; or one line where no graphics library is present."""
+    """Draw a strip of every episode and films of the first ones. Without a graphics library, only print a line."""
     names = names or [episode.caption.replace(" ", "_") for episode in episodes]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -250,7 +250,7 @@ def report(command: Report) -> None:
     paths = [path if path.is_dir() else find_policy(path) for path in (command.run, *command.others)]
     unmeasured = [str(path) for path in paths if read_run(path).difficulty is None]
     if unmeasured:
-        print(f"not measured yet, first run: arrive eval --protocol difficulty {shlex.join(unmeasured)}")
+        print(f"not evaluated yet; run: arrive eval --protocol difficulty {shlex.join(unmeasured)}")
     files = {name: getattr(command, name) for name in FILES}
     for path in write_report(paths, command.out, files):
         print(f"report: {path}")

@@ -1,4 +1,4 @@
-"""`arrive export` and `arrive verify`: a policy for a robot's computer."""
+"""`arrive export` and `arrive verify`: policy files for a robot's computer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def export(command: Export) -> None:
-    """Write a policy for a robot's computer."""
+    """Export a policy for a robot's computer."""
     need("onnxruntime")
     from arrive.deployment.export import export_policy
 
@@ -27,7 +27,7 @@ def export(command: Export) -> None:
 
 
 def verify_file(command: Verify) -> None:
-    """Check an exported policy and say what it is."""
+    """Check an exported policy and print a description."""
     need("onnxruntime")
     from arrive.deployment.verify import describe, verify
 

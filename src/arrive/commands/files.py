@@ -1,4 +1,4 @@
-"""Results that commands write."""
+"""Result files of commands."""
 
 from pathlib import Path
 from typing import Any
@@ -7,10 +7,10 @@ from arrive import files
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a result, making its folder, and say where it is.
+    """Write a result, creating its folder if needed, and print its path.
 
     Raises:
-        ArriveError: it cannot be written.
+        ArriveError: the file cannot be written.
     """
     files.write_json(path, content)
     print(f"result: {path}")

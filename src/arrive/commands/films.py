@@ -1,4 +1,4 @@
-"""Films of a run in progress, made beside the training."""
+"""Films of a run in progress, made in a second process."""
 
 import subprocess
 import sys
@@ -11,21 +11,21 @@ FOLDER = "films"
 
 
 class Films:
-    """Has `arrive eval` film the newest policy every few minutes, in a process of its own and never two at once."""
+    """Starts `arrive eval` every few minutes to film the newest policy, in a separate process, one at a time."""
 
     def __init__(self, folder: Path, minutes: float | None):
-        """Wait for the first time.
+        """Set the time of the first film.
 
         Args:
-            folder: of the run.
-            minutes: between two films, None for none [min].
+            folder: the run folder.
+            minutes: time between two films, None for no films [min].
         """
         self._folder, self._period_s = folder, None if minutes is None else 60.0 * minutes
         self._next_s = time.monotonic() + (self._period_s or 0.0)
         self._process: subprocess.Popen | None = None
 
     def tick(self, samples: int) -> None:
-        """Begin a film if it is time; `samples` name it: policy steps so far."""
+        """Start a film if it is time. Its name contains `samples`, the policy steps so far."""
         if self._period_s is None or time.monotonic() < self._next_s or not (self._folder / POLICY_NAME).is_file():
             return
         if self._process is not None and self._process.poll() is None:
@@ -37,6 +37,6 @@ class Films:
         self._process = subprocess.Popen([sys.executable, "-m", "arrive", *command], **quiet)
 
     def close(self) -> None:
-        """Let a film that is being made be finished."""
+        """Wait for a film that is being made."""
         if self._process is not None:
             self._process.wait()

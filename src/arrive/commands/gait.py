@@ -1,4 +1,4 @@
-"""`arrive gait`: how policies step."""
+"""`arrive gait`: gaits of policies."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def gait(command: Gait) -> None:
-    """Let policies walk steadily, print how they step, and write JSON and figure 6."""
+    """Let policies walk steadily, print their gaits, and write the JSON file and figure 6."""
     told = [Heading(speed, direction) for speed in command.speeds for direction in command.directions]
     check_arguments(told, command.robots, command.seconds)
     threads = use_threads(command.threads)
@@ -58,7 +58,7 @@ def gait(command: Gait) -> None:
 
 
 def print_gait(content: dict[str, Any]) -> None:
-    """The gaits of one policy as a table."""
+    """Print the gaits of one policy as a table."""
     feet = content["feet"]
     table = Table(title=f"{content['name']} ({content['task']})", title_justify="left", padding=(0, 0))
     for column in ("told", "gait", "m/s", "Hz", "stride [m]", "duty", f"phase {' '.join(feet)}", "travel", "fell"):

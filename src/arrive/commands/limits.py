@@ -1,4 +1,4 @@
-"""What the numbers of the command line may be, written beside each option and checked before anything is done."""
+"""Ranges of numeric options. They are declared in each option's type and checked before a command runs."""
 
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -16,7 +16,7 @@ def check_limits(command: Any) -> None:
     """Check all numbers of a command and of its subcommand.
 
     Raises:
-        ArriveError: lists every option that is out of its limits, with its value and what it must be.
+        ArriveError: lists every option that is out of range, with its value and the range.
     """
     problems = list(_problems(command))
     if problems:

@@ -1,4 +1,4 @@
-"""`arrive list`: what can be chosen by name."""
+"""`arrive list`: the names that commands accept."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 
 CONFIG = "config"
-"""What lists the fields of a configuration instead."""
+"""Argument that lists the fields of a configuration instead."""
 
 
 def list_names(command: List) -> None:
-    """Print what can be chosen by name."""
+    """Print the names that commands accept."""
     names = {
         "terrains": {f.name: _describe(f) for f in FAMILIES.values()},
         "presets": {name: _first_line(build) for name, build in PRESETS.items()},
@@ -60,12 +60,12 @@ def _describe(family) -> str:
 
 
 def _ability(policy: str) -> str:
-    """What a shipped policy was measured to solve, and what it was trained for."""
+    """What a shipped policy solves according to its evaluation, and what it was trained for."""
     config, _ = read_config(SHIPPED / policy)
-    stick = " with moving targets, for a stick" if config.task.retarget_s > 0.0 else ""
+    stick = " with moving targets, for a joystick" if config.task.retarget_s > 0.0 else ""
     trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
     if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
-        return f"not measured; {trained}"
+        return f"not evaluated; {trained}"
     solved = amounts(solved_beside(SHIPPED / policy))
     return f"solves {', '.join(solved) or 'nothing'} in 95 % of the episodes; {trained}"
 

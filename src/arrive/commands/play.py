@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def run_play(command: Play) -> None:
-    """Serve the page until Ctrl-C or the time given, then say whether real time was kept."""
+    """Serve the page until Ctrl-C or the given time, then print the share of real time that was kept."""
     need("viser", "viser>=1.1,<2")
     need("onnxruntime")
     from arrive.play.follow import Follower
@@ -26,7 +26,7 @@ def run_play(command: Play) -> None:
     session = Session(server, playground)
     follower = Follower(playground.skill.name, session.post) if command.follow else None
     try:
-        print(f"play: {door.address} (Ctrl-C ends it)", flush=True)
+        print(f"play: {door.address} (Ctrl-C to stop)", flush=True)
         if command.seconds is not None:
             threading.Timer(command.seconds, stop.set).start()
         if follower is not None:
@@ -39,11 +39,11 @@ def run_play(command: Play) -> None:
         server.stop()
         pace = session.pace
         kept = 1.0 - pace.dropped_s / max(pace.asked_s, 1e-9)
-        print(f"simulated {kept:.1%} of the {pace.asked_s:.1f} s asked for; falls: {playground.falls}")
+        print(f"simulated {kept:.1%} of {pace.asked_s:.1f} s in real time; falls: {playground.falls}")
 
 
 def _opening(command: Play) -> tuple:
-    """The policy, and the ground that was asked for or that shows what it can."""
+    """The policy and its ground: the requested one, or the hardest that the policy solves."""
     from arrive.play.skills import open_skill
     from arrive.terrain.ground import Ground, ground_of
 

@@ -1,4 +1,4 @@
-"""Policies as every command takes them."""
+"""Reading the policies named on the command line."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
 
 
 def read_policy(path: Path | str, device: torch.device | str = "cpu") -> Policy:
-    """Read the policy that a person names; see `find_policy`.
+    """Read the policy that the user names; see `find_policy`.
 
     Raises:
-        ArriveError: there is none, or it cannot be read.
+        ArriveError: there is no such policy, or it cannot be read.
     """
     path = find_policy(path)
     if path.suffix != EXPORTED:
         return load_policy(path, device)
     need("onnxruntime")
-    # Imported here because only this needs onnxruntime.
+    # Imported here because only exported files need onnxruntime.
     from arrive.deployment.reading import load_exported
 
     return load_exported(path, device)
 
 
 def need(package: str, requirement: str = "") -> None:
-    """Say how to install what a command needs beside the package's own dependencies, where it is missing.
+    """Check that an optional dependency of a command is installed.
 
     Raises:
-        ArriveError: it is missing.
+        ArriveError: it is missing; the message says how to install it.
     """
     if importlib.util.find_spec(package) is None:
         raise ArriveError(f"this needs {package}: pip install '{requirement or package}'")

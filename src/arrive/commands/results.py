@@ -1,4 +1,4 @@
-"""Results that are not lost to shorter ones."""
+"""Protects results from being replaced by shorter measurements."""
 
 from pathlib import Path
 from typing import Any
@@ -8,14 +8,14 @@ from arrive.files import read_json
 
 
 def keep_longer(path: Path, effort: float, force: bool) -> None:
-    """Refuse to measure what would replace the result of a longer measurement.
+    """Check that a new measurement would not replace the result of a longer one.
 
     Args:
-        effort: of what is about to be measured, as `effort_of` counts it.
-        force: replace it all the same.
+        effort: size of the new measurement, in the unit of `effort_of`.
+        force: replace the result anyway.
 
     Raises:
-        ArriveError: what is at `path` took longer.
+        ArriveError: the result at `path` is from a longer measurement.
     """
     if force or not path.is_file():
         return
@@ -28,7 +28,7 @@ def keep_longer(path: Path, effort: float, force: bool) -> None:
 
 
 def effort_of(content: dict[str, Any]) -> float:
-    """Episodes behind a result of `eval`, robot metres or seconds behind one of `energy` or `gait`; 0 of others."""
+    """Size of a measurement: episodes of `eval`, robot metres of `energy`, robot seconds of `gait`, otherwise 0."""
     try:
         if "effort" in content["protocol"]:
             return float(content["protocol"]["effort"])

@@ -15,9 +15,9 @@ TASK = "task."
 
 
 def print_config() -> None:
-    """Print every field: those of all tasks first, then each task's own."""
+    """Print every field: first those that all tasks share, then each task's own."""
     print(f"Fields for --set PATH=VALUE, with the defaults of the preset {DEFAULT_PRESET}.")
-    print("Of a term with several parameters a number alone is its weight, or its noise.\n")
+    print("For a term with several parameters, a single number sets its weight, or its noise.\n")
     for heading, fields in sections():
         print(heading)
         for row in fields:
@@ -26,11 +26,11 @@ def print_config() -> None:
 
 
 def sections() -> Iterator[tuple[str, list[Row]]]:
-    """A heading and rows: of all tasks together, then of each task."""
+    """Headings with rows: first the fields that all tasks share, then each task's own."""
     for index, name in enumerate(TASKS):
         everything = list(rows(make_config(parse_families("flat"), task=name)))
         if index == 0:
-            yield "whatever the task:", [row for row in everything if not row.path.startswith(TASK)]
+            yield "with any task:", [row for row in everything if not row.path.startswith(TASK)]
         yield f"with --task {name}:", [row for row in everything if row.path.startswith(TASK)]
 
 

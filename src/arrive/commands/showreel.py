@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def showreel(command: Showreel) -> None:
-    """Let policies cross what they solve, and make one picture of it.
+    """Film policies on terrain that they solve, and write one animated picture.
 
     Raises:
-        ArriveError: no policy was measured, no robot arrives, or this machine cannot draw.
+        ArriveError: no policy was evaluated, no robot arrives, or this machine cannot draw.
     """
     need("onnxruntime")
     from arrive.play.skills import open_skill
@@ -32,7 +32,7 @@ def showreel(command: Showreel) -> None:
         ground = ground or Ground(FAMILIES[family], skill.value(family), "evaluation")
         episode = record(skill, ground)
         if episode is None:
-            print(f"{name}: does not arrive on {ground.words}; left out")
+            print(f"{name}: left out, it does not arrive on {ground.words}")
             continue
         print(f"{name}: {episode.caption}, {(len(episode.qpos) - 1) * episode.control_dt:.1f} s", flush=True)
         pictures += frames(episode)
@@ -42,8 +42,8 @@ def showreel(command: Showreel) -> None:
 
 
 def _scenes(policies: tuple[str, ...]) -> list[tuple[str, str | None]]:
-    """Policies and terrains: those named on what they open on, else for each terrain the shipped policy that solves the
-    hardest."""
+    """Policies and terrains: the named policies on the terrain on which they open; without names, for each terrain the
+    shipped policy that solves the hardest value."""
     if policies:
         return [(name, None) for name in policies]
     solved = {name: solved_beside(SHIPPED / name) for name in shipped_names()}
@@ -53,5 +53,5 @@ def _scenes(policies: tuple[str, ...]) -> list[tuple[str, str | None]]:
         if able:
             best[family] = max(able, key=lambda name: solved[name][family])
     if not best:
-        raise ArriveError("no shipped policy was measured: arrive eval --protocol difficulty NAME, or name policies")
+        raise ArriveError("no shipped policy was evaluated: run arrive eval --protocol difficulty, or name policies")
     return [(name, family) for family, name in best.items()]

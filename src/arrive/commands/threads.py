@@ -1,4 +1,4 @@
-"""How many CPU threads a command uses."""
+"""Number of CPU threads of a command."""
 
 import os
 
@@ -8,11 +8,11 @@ from arrive.errors import ArriveError
 from arrive.learning.ranks import processes_here
 
 THREADS_PER_CPU = 4
-"""More threads than this have no use and take memory."""
+"""Limit on threads: more bring nothing and take memory."""
 
 
 def use_threads(threads: int) -> int:
-    """Give torch as many threads as physics; MuJoCo's and torch's threads take turns.
+    """Give torch as many threads as physics, because MuJoCo's and torch's threads take turns.
 
     0 takes every CPU, or this process's share of them.
     """

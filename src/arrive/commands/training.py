@@ -1,4 +1,4 @@
-"""`arrive train`: a new run, or one that goes on."""
+"""`arrive train`: start or resume a run."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ if TYPE_CHECKING:
     from arrive.commands.options import Train
 
 DEFAULT_MINUTES = 40.0
-"""Training budget where none is given [min]."""
+"""Default training budget [min]."""
 
 
 def train(command: Train) -> None:
-    """Train a new run or continue one.
+    """Start a new run or resume one.
 
     Raises:
-        ArriveError: it cannot begin, cannot go on, or was interrupted at once; says how to go on.
+        ArriveError: it cannot start, cannot continue, or was interrupted; the message says how to continue.
     """
     threads = use_threads(command.threads)
     budget = _budget(command)
     device = choose_device(command.device)
     ranks = join_ranks(device)
-    # Rank 0 alone makes the folder; the others take what it has found.
+    # Only rank 0 makes the folder. The other ranks get its result.
     config, folder = ranks.share((_resumed if command.resume else _fresh)(command) if ranks.leads else None)
     with owned(folder) if ranks.leads else nullcontext() as lock:
         if ranks.leads and not command.resume:
-            check_free(folder)  # once more: another process may have had the lock until now
+            check_free(folder)  # again, because another process may have held the lock until now
         try:
             _train(command, _Run(config, folder, ranks, device, threads, budget, lock))
         except KeyboardInterrupt:
@@ -72,7 +72,7 @@ def train(command: Train) -> None:
 
 @dataclass(frozen=True)
 class _Run:
-    """What is trained, where, and by whom."""
+    """Configuration, folder, lock and processes of a run."""
 
     config: Config
     folder: Path
@@ -81,7 +81,7 @@ class _Run:
     threads: int
     budget: Budget
     lock: Lock | None
-    """Of the folder; None in the processes that do not write."""
+    """Lock of the folder; None in processes that do not write."""
 
 
 def _train(command: Train, run: _Run) -> None:
@@ -89,7 +89,7 @@ def _train(command: Train, run: _Run) -> None:
     if run.ranks.leads:
         together = f", {run.ranks.count} processes" if run.ranks.count > 1 else ""
         print(describe_device(run.device, command.device, run.threads, run.config.physics.engine) + together)
-    # Read before anything is built: it may be damaged.
+    # Read before anything is built, because it may be damaged.
     log = RunLog(run.folder, command.logger) if run.ranks.leads else None
     trainer = Trainer(run.config, _build(run), run.folder, run.ranks)
     before = 0
@@ -110,7 +110,7 @@ def _train(command: Train, run: _Run) -> None:
 
 
 def _begin_from(trainer: Trainer, start: Path) -> int:
-    """Take another run's networks; policy steps of all runs before this one."""
+    """Take another run's networks. Returns the policy steps of all runs before this one."""
     checkpoint = start / CHECKPOINT_NAME
     samples = trainer.warm_start(checkpoint if checkpoint.is_file() else read_policy(start))
     return samples + (samples_before(read_config(start)[1]) if (start / CONFIG_NAME).is_file() else 0)
@@ -154,18 +154,18 @@ def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog) ->
 
 
 def _how_to_go_on(command: Train, folder: Path) -> str:
-    """What to type after Ctrl-C."""
+    """The command that continues after Ctrl-C."""
     if not (folder / CHECKPOINT_NAME).exists():
-        return "nothing was trained yet: give the same command again"
+        return "nothing was trained yet: run the same command again"
     words = ["arrive", "train", command.terrain, "--resume", str(folder)]
     for name in ("minutes", "iterations", "samples"):
         if (value := getattr(command, name)) is not None:
             words += [f"--{name}", str(value)]
-    return f"go on from the last checkpoint with: {shlex.join(words)}"
+    return f"resume from the last checkpoint with: {shlex.join(words)}"
 
 
 def _budget(command: Train) -> Budget:
-    """Minutes, iterations and samples; whichever is spent first ends the run."""
+    """Minutes, iterations and samples. The one that is spent first ends the run."""
     samples = None if command.samples is None else _parse_samples(command.samples)
     budget = {"minutes": command.minutes, "iterations": command.iterations, "samples": samples}
     return Budget(**budget) if any(budget.values()) else Budget(DEFAULT_MINUTES)
@@ -187,7 +187,7 @@ def _fresh(command: Train) -> tuple[Config, Path]:
     families, base = parse_families(command.terrain), None
     if command.config:
         if command.preset or command.task or command.robot:
-            raise ArriveError("--config brings its own preset, task and robot; leave these out, or --config")
+            raise ArriveError("--config has its own preset, task and robot: give either it or these options")
         base, _ = read_config(command.config)
     config = make_config(
         families, command.preset, command.task, command.num_envs, command.seed, command.set, command.robot, base
@@ -196,12 +196,12 @@ def _fresh(command: Train) -> tuple[Config, Path]:
 
 
 def _resumed(command: Train) -> tuple[Config, Path]:
-    """The configuration of the run to continue; asking for another one at the same time is an error."""
+    """The configuration of the run to resume. Options that would change it are an error."""
     folder = command.resume
     config, _ = read_config(folder)
     if not (folder / CHECKPOINT_NAME).is_file():
         raise ArriveError(
-            f"{folder} has no {CHECKPOINT_NAME}: the start was cut off; begin it again with --out {folder}"
+            f"{folder} has no {CHECKPOINT_NAME}, because its start was interrupted; start it again with --out {folder}"
         )
     names = tuple(family.name for family in parse_families(command.terrain))
     if names != config.terrain.families:
@@ -217,5 +217,5 @@ def _resumed(command: Train) -> tuple[Config, Path]:
     changed += [name for name in ("set", "config", "start_from", "out") if getattr(command, name)]
     if changed:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-        raise ArriveError(f"a resumed run keeps its configuration: --resume goes without another {flags}")
+        raise ArriveError(f"a resumed run keeps its configuration: leave out {flags}")
     return config, folder
