@@ -844,7 +844,7 @@ def test_exported_file_explains_itself(exported, capsys):
     assert len(file.meta["golden"]["actions"]) == 16
     assert file.meta["evaluation"] is None
     main(["verify", str(exported)])
-    assert "16 golden pairs met" in capsys.readouterr().out
+    assert "16 golden pairs reproduced" in capsys.readouterr().out
 
 
 def test_evaluation_summary_travels_along(run, tmp_path):
@@ -859,7 +859,7 @@ def test_evaluation_summary_travels_along(run, tmp_path):
     ("change", "sealed", "message"),
     [
         (flip(0), False, "was changed after the export"),
-        (flip(0), True, "does not compute what"),
+        (flip(0), True, "does not reproduce its golden pairs"),
         (edit("observation", swap_slices), False, "was changed after the export"),
         (edit("observation", swap_slices), True, r"observation\[0\]"),
         (edit("observation", lambda terms: terms[4].update(scale=1.0)), True, r"observation\[4\].scale"),
@@ -951,8 +951,8 @@ def put(section, *places_and_value):
 
 NAN, INFINITE = float("nan"), float("inf")
 HOSTILE = {
-    "NaN limit": (put("robot", "joint_limits_rad", 0, [NAN, 0.5]), "NaN is no number"),
-    "infinite limit": (put("robot", "joint_limits_rad", 0, [-INFINITE, 0.5]), "Infinity is no number"),
+    "NaN limit": (put("robot", "joint_limits_rad", 0, [NAN, 0.5]), "NaN is not a number"),
+    "infinite limit": (put("robot", "joint_limits_rad", 0, [-INFINITE, 0.5]), "Infinity is not a number"),
     "huge limit": (put("robot", "joint_limits_rad", 0, [-1e300, 1e300]), "no radians"),
     "reversed limits": (put("robot", "joint_limits_rad", 0, [0.5, -0.5]), "range of LF_HAA .* ascending"),
     "zero limits": (put("robot", "joint_limits_rad", 0, [0.0, 0.0]), "range of LF_HAA"),
@@ -983,7 +983,7 @@ HOSTILE = {
     "negative slice": (put("observation", 0, "stop", -3), "slice of observation"),
     "two of a name": (put("observation", 0, "name", "base_ang_vel"), "same name"),
     "zero grid step": (put("heights", "step_m", 0.0), "heights.step_m"),
-    "a point elsewhere": (put("heights", "points_m", 5, [9.0, 9.0]), "no whole grid"),
+    "a point elsewhere": (put("heights", "points_m", 5, [9.0, 9.0]), "not a complete grid"),
     "no points": (put("heights", "points_m", []), "heights.points_m"),
     "clips of one side": (put("heights", "clip_m", [0.1, 0.4]), "heights.clip_m"),
     "golden zeros": (
@@ -1204,7 +1204,7 @@ def test_replay_gives_identical_commands(exported, tmp_path):
     with pytest.raises(ArriveError, match="another policy"):
         replay(loaded, controller)
     (tmp_path / "log.npz").write_bytes(b"PK")
-    with pytest.raises(ArriveError, match="no log"):
+    with pytest.raises(ArriveError, match="not a controller's log"):
         ControlLog.load(tmp_path / "log.npz")
 
 

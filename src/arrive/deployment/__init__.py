@@ -1,6 +1,6 @@
 """From a trained policy to joint targets on a robot.
 
-`export` belongs to the training installation. Everything else here needs NumPy and onnxruntime alone:
+`export` needs the training installation. Everything else here needs only NumPy and onnxruntime:
 
     from arrive.deployment import Controller, Sensors, Target
 """

@@ -1,4 +1,4 @@
-"""What the controller answers in every step."""
+"""The controller's output in every step."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class JointCommand:
-    """What the drives are to do until the next step, with the gains that the policy file names."""
+    """Command for the drives until the next step. They run with the gains of the policy file."""
 
     targets: np.ndarray
     """(joints,) position targets, always finite and within the joints' ranges [rad]."""
     mode: str
-    """`target`, `hold`, `joystick`, `stop`, `way_points`; `safe` or `fallen` where the policy does not act."""
+    """`target`, `hold`, `joystick`, `stop` or `way_points`; `safe` or `fallen` if the policy does not act."""
     reason: str
-    """Why the controller does not simply do as told; empty where it does."""
+    """Why the controller does not follow the goal exactly; empty if it does."""

@@ -18,27 +18,27 @@ from arrive.deployment.terms import COMPUTED, Moment, check_terms
 from arrive.deployment.watchdog import Watchdog
 
 LARGEST_OBSERVATION = 100.0
-"""A scaled observation beyond this is implausible; in training they are of order 1."""
+"""A scaled observation beyond this is implausible. In training they are of order 1."""
 LARGEST_ACTION = 40.0
-"""An action beyond this is implausible; policies on their hardest terrain give up to 16."""
+"""An action beyond this is implausible. Policies on their hardest terrain reach 16."""
 LARGEST_STEP_S = 0.1
-"""The safe stance moves by no more than this much time in one step, however late the step comes [s]."""
+"""Largest time by which the safe stance advances in one step, even if the step comes late [s]."""
 
 
 class Controller:
     """Runs an exported policy.
 
-    On an input it must not act on (stale, non-finite, impossible, of the wrong size, no goal) it goes to the safe
-    stance: joint targets jump to where the joints are, so that only the drives' damping acts, and glide from there to
-    the default pose. While the robot has fallen, they stay where the joints are. The policy takes over again once all
-    inputs have been good for `Safety.recover_s`.
+    On a bad input (stale, not finite, implausible, of the wrong size, or no goal) it goes to the safe stance: joint
+    targets jump to the current joint positions, so that only the drives' damping acts, and then move slowly to the
+    default pose. If the robot has fallen, they stay at the current joint positions. The policy takes over again once
+    all inputs have been good for `Safety.recover_s`.
     """
 
     def __init__(self, policy: PolicyFile, safety: Safety = DEFAULT, log: ControlLog | None = None):
         """Prepare everything that does not change.
 
         Args:
-            log: takes down every step, if given.
+            log: records every step, if given.
 
         Raises:
             ArriveError: the policy needs an observation that this controller cannot provide.
@@ -65,7 +65,7 @@ class Controller:
         return cls(read_policy_file(path), safety, log)
 
     def reset(self) -> None:
-        """Start afresh, as after switching on."""
+        """Start again, as after switching on."""
         self._navigator.reset()
         self._watchdog.reset()
         self._action = np.zeros(len(self._default))
@@ -78,17 +78,17 @@ class Controller:
     def step(
         self, sensors: Sensors, goal: Goal, terrain: GridHeights | HeightMap | PointCloud, now_s: float
     ) -> JointCommand:
-        """One control step; call it every `policy.period_s`. It never raises because of what its arguments hold.
+        """One control step, to be called every `policy.period_s`. It never raises because of its arguments.
 
         Args:
-            now_s: present time on a clock that never goes back [s].
+            now_s: current time on a clock that never goes back [s].
         """
-        # Divisions and overflows of absurd inputs end in the checks, not in warnings.
+        # Divisions and overflows caused by absurd inputs are found by the checks, so no warnings are needed.
         with np.errstate(all="ignore"):
             return self.step_frame(frame_of(sensors, goal, terrain, now_s, self._grid))
 
     def step_frame(self, frame: Frame) -> JointCommand:
-        """One control step from inputs in their logged shape."""
+        """One control step from inputs in the form in which they are logged."""
         with np.errstate(all="ignore"):
             verdict = self._watchdog.judge(frame)
             try:
@@ -104,10 +104,11 @@ class Controller:
         return command
 
     def observe(self, frame: Frame) -> tuple[np.ndarray, Order]:
-        """The network's input (observations,) and the command in it, of a frame that the watchdog let pass.
+        """The network's input (observations,), and the command in it, for a frame that the watchdog has accepted.
 
         Raises:
-            BadInput: no usable goal, too little ground seen, or ground in another frame than the base.
+            BadInput: the goal is not usable, too little of the ground is seen, or ground and base are in different
+                frames.
         """
         pos, safety = frame.base_pos_w, self.safety
         standing = self.policy.robot.standing_height_m
@@ -139,7 +140,7 @@ class Controller:
         return order, action
 
     def _resume(self, frame: Frame, order: Order, action: np.ndarray) -> JointCommand:
-        """Act, unless a fault was too short a time ago."""
+        """Act, unless the last fault was too recent."""
         if self._held is not None:
             self._good_since_s = frame.now_s if self._good_since_s is None else self._good_since_s
             # A microsecond of tolerance, so that rounding of times does not cost a step.
@@ -157,15 +158,15 @@ class Controller:
         self._navigator.release()
         if not isinstance(fault, Fallen):
             return self._safe(frame, str(fault), sensors_good)
-        # Legs that go to the default pose would throw a robot about that lies on its back.
+        # Legs that move to the default pose would throw a robot that lies on its back.
         self._known_pos, self._held = frame.joint_pos, None
         return replace(self._safe(frame, str(fault), sensors_good), mode="fallen")
 
     def _safe(self, frame: Frame, reason: str, sensors_good: bool) -> JointCommand:
-        """The safe stance, one step further.
+        """Advance the safe stance by one step.
 
-        It begins where the joints were last seen, or in the default pose if they never were, and once more as soon as
-        they are seen.
+        It starts at the last known joint positions, or at the default pose if there are none. It starts again as soon
+        as joint positions arrive.
         """
         if sensors_good:
             self._known_pos = frame.joint_pos
@@ -175,7 +176,7 @@ class Controller:
         else:
             reach = self.safety.glide_rad_s * self._elapsed_s(frame)
             self._held = self._held + np.clip(self._default - self._held, -reach, reach)
-        # The action that the policy sees as its last is the one the robot is carrying out.
+        # The policy observes as its last action the one that the robot carries out.
         self._action = (self._held - self._default) / self.policy.robot.action_scale_rad
         targets = self._held.copy()
         if sensors_good:
@@ -183,14 +184,14 @@ class Controller:
         return JointCommand(targets, "safe", reason)
 
     def _elapsed_s(self, frame: Frame) -> float:
-        """Since the step before, one period where the clock cannot tell."""
+        """Time since the last step [s]; one period if the clock is unusable."""
         if self._last_now_s is None or not np.isfinite(frame.now_s):
             return self.policy.period_s
         return min(max(frame.now_s - self._last_now_s, 0.0), LARGEST_STEP_S)
 
 
 def _median(values: np.ndarray) -> float:
-    """Like `np.median` of numbers without NaN, in a tenth of its time."""
+    """Like `np.median` for values without NaN, ten times as fast."""
     half, odd = divmod(len(values), 2)
     ordered = np.sort(values)
     return float(ordered[half] if odd else (ordered[half - 1] + ordered[half]) / 2)

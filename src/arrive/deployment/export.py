@@ -1,4 +1,4 @@
-"""Writes a trained policy as one ONNX file that explains itself, and compares such a file with this version."""
+"""Writes a trained policy as one self-describing ONNX file, and compares such a file with this version."""
 
 import json
 from pathlib import Path
@@ -28,18 +28,18 @@ from arrive.task.observations import Observer, height_offset
 from arrive.task.registry import get_task
 
 OPSET, IR_VERSION = 17, 8
-"""Old enough for every onnxruntime since 1.13."""
+"""Supported by every onnxruntime since 1.13."""
 GOLDEN_PAIRS, GOLDEN_SEED = 16, 0
 LABEL_ROUNDING_M = 0.0501
-"""Labels of cells may differ by this; where the cells are, `heights.points_m` says exactly."""
+"""Tolerance for labels of grid points. `heights.points_m` has their exact positions."""
 
 
 def export_policy(policy: Policy, out: Path) -> None:
-    """Write a policy with all that running it takes, whole or not at all; it is read back before it takes its place.
+    """Write a policy with everything needed to run it. The file is read back before it replaces an existing one.
 
     Raises:
-        ArriveError: it was trained on another observation than this version's, its networks are of an unknown kind,
-            its numbers cannot be right, or the file cannot be written.
+        ArriveError: the policy was trained on another observation than this version's, its networks are of an unknown
+            kind, its values are implausible, or the file cannot be written.
     """
     sections = describe(policy.config)
     check_schema(policy.schema, sections["observation"], policy.path)
@@ -58,10 +58,10 @@ def export_policy(policy: Policy, out: Path) -> None:
 
 
 def compare_with_this_version(file: PolicyFile) -> None:
-    """Make sure that a file's robot, observation, grid, period and task are what this version has under these names.
+    """Check that a file's robot, observation, grid, period and task agree with those of this version.
 
     Raises:
-        ArriveError: they are not; the message names the first place that differs.
+        ArriveError: they differ; the message names the first difference.
     """
     try:
         config = saved_config(file.meta["training"]["config"], file.path)
@@ -72,7 +72,7 @@ def compare_with_this_version(file: PolicyFile) -> None:
 
 
 def _compare(path: Path, where: str, found: Any, expected: Any) -> None:
-    """Report the first difference by its place."""
+    """Raise an error that names the first difference."""
     if isinstance(expected, dict) and isinstance(found, dict):
         for name in expected | found:
             _compare(path, f"{where}.{name}", found.get(name), expected.get(name))
@@ -80,11 +80,11 @@ def _compare(path: Path, where: str, found: Any, expected: Any) -> None:
         for i, pair in enumerate(zip(found, expected, strict=True)):
             _compare(path, f"{where}[{i}]", *pair)
     elif found != expected and not (".labels[" in where and _same_point(found, expected)):
-        raise ArriveError(f"{path} does not fit this version of arrive: {where} is {found!r} there, {expected!r} here")
+        raise ArriveError(f"{path} does not fit this version of arrive: {where} is {found!r}, not {expected!r}")
 
 
 def _same_point(found: Any, expected: Any) -> bool:
-    """Whether two labels name the same cell of the height grid; earlier versions rounded them to 0.1 m."""
+    """Whether two labels name the same point of the height grid. Earlier versions rounded them to 0.1 m."""
     try:
         first, second = (np.array([float(x) for x in label.strip("()").split(",")]) for label in (found, expected))
         return first.shape == second.shape and bool(np.abs(first - second).max() <= LABEL_ROUNDING_M)
@@ -93,9 +93,9 @@ def _same_point(found: Any, expected: Any) -> bool:
 
 
 def describe(config: Config) -> dict[str, Any]:
-    """The sections of the metadata that follow from the configuration and this version of the software."""
+    """The sections of the metadata that follow from the configuration and this version of arrive."""
     robot, heights = get_robot(config.robot), config.observation.heights
-    # A task without targets is described by the targets of the paper: the file has a place for them.
+    # The format requires targets. For a task without targets, they are those of the paper.
     task = config.task if isinstance(config.task, PositionConfig) else FinalConfig()
     grid = HeightGrid(heights)
     sections = {
@@ -103,7 +103,7 @@ def describe(config: Config) -> dict[str, Any]:
         "control": {"period_s": config.physics.control_dt},
         "observation": _schema(config, robot),
         "heights": {
-            # Rounded, because float32 makes 0.1 a number that no person would write.
+            # Rounded, because in float32 0.1 has many digits.
             "points_m": [[round(x, 6) for x in point] for point in grid.points.tolist()],
             "step_m": heights.step,
             "offset_m": height_offset(robot),
@@ -135,7 +135,7 @@ def _describe_robot(robot: Robot) -> dict[str, Any]:
 
 
 def _one_or_each(values: list[float]) -> float | list[float]:
-    """The number that all joints share, or one for each."""
+    """The value that all joints share, or a list with one value per joint."""
     return values[0] if len(set(values)) == 1 else values
 
 
@@ -146,7 +146,7 @@ def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:
 
 
 class _Graph:
-    """An ONNX graph as it grows: constants, and nodes that turn the present value into the next."""
+    """An ONNX graph under construction: constants and nodes."""
 
     def __init__(self):
         self.nodes: list[onnx.NodeProto] = []
@@ -194,7 +194,7 @@ def _layers(graph: _Graph, network: nn.Sequential, value: str) -> str:
 
 
 def _reflect_observation(graph: _Graph, facing: Facing) -> tuple[str, list[str]]:
-    """As `Facing.observation`; also the names of what says whether each reflection was needed."""
+    """As `Facing.observation`. Also returns the names of the flags for the applied reflections."""
     value, needed = INPUT, []
     zero = graph.constant("zero", torch.zeros(1))
     for row in range(len(facing.side)):
@@ -221,7 +221,7 @@ def _reflect(graph: _Graph, name: str, value: str, maps: tuple[Tensor, Tensor], 
 
 
 def _golden(policy: Policy) -> dict[str, Any]:
-    """Pairs of standard normal inputs and the training network's outputs; numbers are float32 in full."""
+    """Pairs of standard normal inputs and the training network's outputs, with all digits of float32."""
     rng = np.random.default_rng(GOLDEN_SEED)
     observations = rng.standard_normal((GOLDEN_PAIRS, policy.schema[-1]["stop"])).astype(np.float32)
     actions = policy.act(torch.from_numpy(observations))
@@ -229,11 +229,11 @@ def _golden(policy: Policy) -> dict[str, Any]:
 
 
 def _evaluation(path: Path) -> dict[str, Any] | None:
-    """What `arrive eval --protocol difficulty` found, or None where the run was not measured."""
+    """Result of `arrive eval --protocol difficulty`, or None if the run was not evaluated."""
     if not path.is_file():
         return None
     try:
         content = json.loads(path.read_text())
         return {name: content[name] for name in ("families", "protocol", "commit")}
     except (OSError, json.JSONDecodeError, KeyError) as error:
-        raise ArriveError(f"cannot read {path}: {error!r}. Measure the run again.") from error
+        raise ArriveError(f"cannot read {path}: {error!r}. Evaluate the run again.") from error

@@ -1,9 +1,9 @@
-"""Why the controller does not act."""
+"""Reasons why the policy must not act."""
 
 
 class BadInput(Exception):
-    """An input or result the policy must not act on; its message is the reason given with the safe stance."""
+    """A bad input or result. Its message is the reason in the command."""
 
 
 class Fallen(BadInput):
-    """The robot lies or topples: nothing is wrong with the inputs, but no policy was trained for it."""
+    """The robot lies or topples. The inputs are good, but no policy was trained for this."""

@@ -1,4 +1,4 @@
-"""Where to go: a target with a deadline, a joystick, or way-points; and what the policy is told of it."""
+"""Goals: a target with a deadline, a joystick, or way-points, and the target and time left that the policy gets."""
 
 import math
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from arrive.deployment.specs import TaskSpec
 from arrive.terms import hold_time
 
 JOYSTICK_DISTANCE = 3.0
-"""The pseudo target lies this far away (paper, section Energy Consumption) [m]."""
+"""Distance of the pseudo target (paper, section Energy Consumption) [m]."""
 FASTEST_S = 2.0
-"""Remaining time at full stick: 3 m in 2 s [s]."""
+"""Time left at full stick: 3 m in 2 s [s]."""
 SLOWEST_SHARE = 0.75
-"""Remaining time at the slowest, as a share of the episode: longer ones were seen in training's first moments only."""
+"""Time left at the slowest speed, as a share of the episode. Training had more only at the start of episodes."""
 LEAST_S = 0.5
-"""The remaining time on the way to a target is told down to this; when it is over, the hold time is [s]."""
+"""Smallest time left that the policy gets on the way to a target. When the time is up, it gets the hold time [s]."""
 STICK_ACCELERATION = 2.0
-"""What a stick asks for while it drives changes by no more than this: a reversal at full speed takes 1.5 s [m/s^2]."""
+"""Limit on the change of the commanded velocity while a stick drives. A reversal at full speed takes 1.5 s [m/s^2]."""
 STOP_S = 0.5
-"""A stick that is let go stops the robot as far ahead as what it asked for goes in this time, so that it need not come
-back [s]."""
+"""When the stick is released, the robot stops where the commanded velocity would take it in this time, so that it does
+not have to walk back [s]."""
 DEAD_ZONE = 0.1
-"""A stick nearer to its centre than this asks the robot to stop."""
+"""A stick closer to its centre than this means stop."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Target:
     """Be at a point at a time, then stay there."""
 
     position_w: tuple[float, float, float]
-    """Wanted position of the base frame's origin, in the world [m]; `target_height_m` above the ground in training."""
+    """Target position of the base frame's origin in the world [m]; in training `target_height_m` above the ground."""
     arrive_at_s: float
-    """On the clock of `now_s` [s]."""
+    """Time of arrival on the clock of `now_s` [s]."""
 
     def __post_init__(self):
         _set(self, position_w=_point(self.position_w), arrive_at_s=number(self.arrive_at_s))
@@ -42,14 +42,14 @@ class Target:
 
 @dataclass(frozen=True)
 class Joystick:
-    """Walk in a direction; magnitudes above 1 count as 1."""
+    """Walk in a direction. Magnitudes above 1 are clamped to 1."""
 
     forward: float
     """-1 to 1, along the heading."""
     left: float
-    """-1 to 1, across it."""
+    """-1 to 1, perpendicular to the heading."""
     heading_rad: float | None = None
-    """Heading in the world that `forward` means, e.g. the operator's; None for the robot's own [rad]."""
+    """Heading in the world to which `forward` refers, e.g. the operator's; None for the robot's own [rad]."""
 
     def __post_init__(self):
         heading = None if self.heading_rad is None else number(self.heading_rad)
@@ -58,14 +58,14 @@ class Joystick:
 
 @dataclass(frozen=True)
 class WayPoints:
-    """Pass by points one after the other without stopping, and stay at the last."""
+    """Pass points one after the other without stopping, and stay at the last one."""
 
     points_w: tuple[tuple[float, float, float], ...]
-    """Wanted positions of the base in the world [m]."""
+    """Positions of the base in the world [m]."""
     speed: float = 1.0
-    """Wanted mean speed, cut to what 3 m in the longest and shortest time allow [m/s]."""
+    """Mean speed, clamped to the range of pseudo velocities [m/s]."""
     radius: float = 0.5
-    """A point counts as passed once the base is this near to it, horizontally [m]."""
+    """A point is passed once the base is horizontally this close to it [m]."""
 
     def __post_init__(self):
         try:
@@ -79,7 +79,7 @@ Goal = Target | Joystick | WayPoints
 
 
 def number(value: Any) -> float:
-    """As a float, or NaN where it is not one number; the controller refuses that with a reason."""
+    """The value as a float, or NaN if it is not a single number. The controller refuses NaN with a reason."""
     try:
         return float(value)
     except Exception:  # a control loop must outlive whatever a driver hands over
@@ -87,7 +87,7 @@ def number(value: Any) -> float:
 
 
 def _point(point: Any) -> tuple[float, ...]:
-    """As a tuple of floats, empty where it is none."""
+    """The value as a tuple of floats, empty if it is not a point."""
     try:
         return tuple(number(x) for x in point)
     except Exception:
@@ -95,7 +95,7 @@ def _point(point: Any) -> tuple[float, ...]:
 
 
 def _set(goal: Any, **values: Any) -> None:
-    """Put plain values into a frozen goal, so that it can be compared and logged."""
+    """Set plain values in a frozen goal, so that it can be compared and logged."""
     for name, value in values.items():
         object.__setattr__(goal, name, value)
 
@@ -107,9 +107,9 @@ def walking_speeds(task: TaskSpec) -> tuple[float, float]:
 
 
 def stick_pace(task: TaskSpec, magnitude: float) -> tuple[float, float]:
-    """Distance [m] and remaining time [s]; 3 m / time grows linearly from the slowest to the fastest walk.
+    """Distance [m] and time left [s] of the pseudo target. 3 m / time grows linearly from slowest to fastest speed.
 
-    A continuous policy hurries whatever the time is; its distance is 3 m times the magnitude instead.
+    A `continuous` policy hurries whatever the time left is, so its distance is 3 m times the magnitude instead.
     """
     if task.name == "continuous":
         return JOYSTICK_DISTANCE * magnitude, hold_time(task)
@@ -119,13 +119,13 @@ def stick_pace(task: TaskSpec, magnitude: float) -> tuple[float, float]:
 
 
 def stick_magnitude(stick: Joystick) -> float:
-    """0 to 1; inside the dead zone 0."""
+    """Magnitude of a stick, 0 to 1; 0 inside the dead zone."""
     magnitude = min(1.0, math.hypot(stick.forward, stick.left))
     return 0.0 if magnitude < DEAD_ZONE else magnitude
 
 
 def stick_speed(task: TaskSpec, stick: Joystick) -> float:
-    """Pseudo velocity that a stick asks for: distance over remaining time, 0 inside the dead zone [m/s]."""
+    """Pseudo velocity of a stick: distance over time left, 0 inside the dead zone [m/s]."""
     magnitude = stick_magnitude(stick)
     if not magnitude:
         return 0.0
@@ -144,11 +144,11 @@ class Order(NamedTuple):
 
 
 class Navigator:
-    """Turns a goal into the target and the remaining time that the policy was trained on.
+    """Turns a goal into a target and a time left, as in training.
 
-    The remaining time stays within [`LEAST_S`, episode] until it is over. From then on it is the hold time: the reward
-    window, half an episode at most. From there on training paid for standing at the target, and the episode's end,
-    after which nothing counts and a robot may let itself fall, is as far away as it can be.
+    The time left stays within [`LEAST_S`, episode] until the deadline. After that it is the hold time: the reward
+    window, at most half an episode. Training paid for standing at the target there, and it is far from the end of
+    the episode, at which a robot may let itself fall.
     """
 
     def __init__(self, task: TaskSpec):
@@ -159,20 +159,20 @@ class Navigator:
         self.reset()
 
     def reset(self) -> None:
-        """Forget how far way-points have been passed and where the robot was stopped."""
+        """Forget the progress along way-points and the position of the last stop."""
         self._path: WayPoints | None = None
         self._passed = 0
         self._deadline_s = 0.0
         self.release()
 
     def release(self) -> None:
-        """Forget where the robot was stopped, and what the stick asked for."""
+        """Forget the position of the last stop and the last commanded velocity."""
         self._anchor: np.ndarray | None = None
         self._asked: np.ndarray | None = None
         self._asked_at_s = 0.0
 
     def order(self, goal: Goal | None, pos: np.ndarray, yaw: float, ground: float, now_s: float) -> Order:
-        """What to tell the policy now.
+        """The command for the policy at this step.
 
         Args:
             pos: (3,) base position in the world [m].
@@ -180,7 +180,7 @@ class Navigator:
             ground: height of the ground around the robot [m].
 
         Raises:
-            BadInput: no goal, or one that is not made of finite numbers.
+            BadInput: there is no goal, or it is not finite.
         """
         if goal is None:
             raise BadInput("there is no goal")
@@ -196,7 +196,7 @@ class Navigator:
         return self._follow(goal, pos, now_s)
 
     def _reach_for(self, target: np.ndarray, deadline_s: float, pos: np.ndarray, now_s: float, mode: str) -> Order:
-        """A target beyond training's reach is pulled onto the line to it, with the time for that part of the way."""
+        """Command for a target. If it is farther away than in training, command a closer point on the line to it."""
         way, left = target - pos, max(deadline_s - now_s, 0.0)
         distance = float(np.linalg.norm(way))
         reason = "" if left > 0.0 else "time is over"
@@ -228,7 +228,7 @@ class Navigator:
         return Order(np.array([pos[0] + way[0], pos[1] + way[1], height]), left, "joystick", "")
 
     def _smooth(self, wanted: np.ndarray, now_s: float) -> np.ndarray:
-        """(2,) pseudo velocity asked for now, on its way to the wanted one [m/s]."""
+        """(2,) current pseudo velocity, which changes towards the wanted one with limited acceleration [m/s]."""
         if self._asked is not None:
             change = wanted - self._asked
             size = float(np.linalg.norm(change))
@@ -239,11 +239,11 @@ class Navigator:
         return wanted
 
     def _pull(self, velocity: np.ndarray, left: float) -> tuple[np.ndarray, float]:
-        """(2,) way to the pseudo target [m] and its time [s]: 3 m away, or nearer where the longest time is too short.
+        """(2,) vector to the pseudo target [m] and time left [s]: 3 m away, or closer if the longest time is too short.
 
         Args:
             velocity: (2,) pseudo velocity [m/s].
-            left: time that a continuous policy is told whatever the speed [s].
+            left: time left for a `continuous` policy, whatever the speed [s].
         """
         if self._task.name == "continuous":
             return velocity * left, left
@@ -252,7 +252,7 @@ class Navigator:
         return velocity * left, left
 
     def _follow(self, path: WayPoints, pos: np.ndarray, now_s: float) -> Order:
-        """Points before the last only give the direction of a pseudo target, so that nothing asks for a stop there."""
+        """Points before the last only give the direction of a pseudo target, so that the robot does not stop there."""
         for point in path.points_w:
             _check_finite("way-point", point, 3)
         if not path.points_w or not (math.isfinite(path.speed) and math.isfinite(path.radius)) or path.speed <= 0:
@@ -268,7 +268,7 @@ class Navigator:
         if self._passed == last:
             return self._reach_for(point, self._deadline_s, pos, now_s, "way_points")
         way = point[:2] - pos[:2]
-        # Not at its middle: there the next point's turn comes, as long as the radius is not 0.
+        # The direction is undefined at the point itself. Unless the radius is 0, the next point takes over before.
         ahead = pos[:2] + way * (JOYSTICK_DISTANCE / max(float(np.linalg.norm(way)), 1e-6))
         left = JOYSTICK_DISTANCE / self._walk(path.speed)
         if self._task.name == "continuous":
@@ -276,7 +276,7 @@ class Navigator:
         return Order(np.array([*ahead, point[2]]), left, "way_points", f"{self._passed + 1} of {last + 1}")
 
     def _arrival(self, path: WayPoints, pos: np.ndarray, now_s: float) -> float:
-        """When the last point would be reached if it came next [s]."""
+        """Time at which the last point would be reached if it were next [s]."""
         return now_s + math.dist(path.points_w[-1], pos) / self._walk(path.speed)
 
     def _walk(self, speed: float) -> float:

@@ -1,4 +1,4 @@
-"""The grid of ground heights around the robot, from what a robot has: a height map or a point cloud."""
+"""The grid of ground heights around the robot, sampled from a height map or a point cloud."""
 
 import math
 from dataclasses import dataclass
@@ -9,17 +9,17 @@ import numpy as np
 from arrive.deployment.specs import GridSpec
 
 FILL_RADIUS = 0.3
-"""A grid point that nothing was seen at takes the height of the nearest seen one within this [m]."""
+"""An unseen grid point takes the height of the nearest seen grid point within this distance [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class GridHeights:
-    """Heights that were sampled at the grid's points by the caller."""
+    """Heights that the caller has sampled at the grid's points."""
 
     heights_w: Any
     """(points,) ground height in the world frame, NaN where nothing was seen [m]."""
     time_s: float
-    """When the ground was last measured [s]."""
+    """Time of the last measurement of the ground [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class HeightMap:
     heights_w: Any
     """(nx, ny) ground heights in the world frame, first index x, second y, NaN where nothing was seen [m]."""
     time_s: float
-    """When the map was last updated [s]."""
+    """Time of the map's last update [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +41,16 @@ class PointCloud:
     """Points on the ground, without those on the robot itself."""
 
     points_w: Any
-    """(n, 3) in the world frame [m]; rows with a NaN are returns that saw nothing."""
+    """(n, 3) in the world frame [m]. Rows with NaN are ignored."""
     time_s: float
-    """When the newest of them was measured [s]."""
+    """Time of the newest point [s]."""
 
 
 class HeightGrid:
-    """Samples ground heights at the points the network wants, and fills in those that nothing was seen at.
+    """Samples ground heights at the network's grid points, and fills in unseen ones.
 
-    The rule for unseen points: the height of the nearest seen grid point within `FILL_RADIUS`; where there is none,
-    the ground the robot stands on, taken as its base height less its standing height.
+    An unseen point takes the height of the nearest seen grid point within `FILL_RADIUS`. If there is none, it takes the
+    height of the ground under the robot, estimated as base height minus standing height.
     """
 
     def __init__(self, spec: GridSpec):
@@ -63,14 +63,14 @@ class HeightGrid:
         distance = np.linalg.norm(self.points[:, None] - self.points[None], axis=-1)
         near = distance <= FILL_RADIUS + 1e-6
         order = np.argsort(np.where(near, distance, np.inf), axis=1, kind="stable")[:, : near.sum(1).max()]
-        # A point with fewer neighbours than others repeats itself.
+        # Rows of points with fewer neighbours are filled up with the point itself.
         own = np.arange(len(self.points))[:, None]
         self._neighbours = np.where(np.take_along_axis(near, order, axis=1), order, own)
 
     def from_map(
         self, origin: np.ndarray, resolution: float, heights: np.ndarray, pos: np.ndarray, yaw: float
     ) -> np.ndarray:
-        """(points,) height of the map's cell that each point lies in, NaN outside the map or where it has a hole.
+        """(points,) height of the map cell that contains each point, NaN outside the map and in its unseen cells.
 
         Args:
             pos: (3,) base position in the map's frame [m].
@@ -84,7 +84,7 @@ class HeightGrid:
     def from_cloud(self, points: np.ndarray, pos: np.ndarray, yaw: float) -> np.ndarray:
         """(points,) median height of the cloud's points in the square around each grid point, NaN where it is empty.
 
-        The median (of an even number the lower of the middle two) ignores single stray returns.
+        The median (for an even number of points, the lower of the middle two) ignores single stray returns.
         """
         points = points[~np.isnan(points).any(axis=1)]
         cos, sin = math.cos(yaw), math.sin(yaw)

@@ -1,4 +1,4 @@
-"""What the controller is told in one step, brought into one shape whatever arrives, so that it can be logged."""
+"""The controller's inputs in one step, converted to one form so that they can be checked and logged."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -10,12 +10,12 @@ from arrive.deployment.heights import GridHeights, HeightGrid, HeightMap, PointC
 from arrive.deployment.rotation import heading
 
 NOTHING = np.zeros(0)
-"""Stands for an input that is not made of numbers; its size is wrong everywhere."""
+"""Replaces an input that is not numeric. Its size is wrong for every input."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """Measurements of one moment. The world frame is any that is level, keeps still and has z up (odometry)."""
+    """Measurements at one moment. The world frame must be level and fixed, with z up (such as odometry)."""
 
     joint_pos: Any
     """(joints,) in the order of the file's joint names [rad]."""
@@ -24,18 +24,18 @@ class Sensors:
     base_pos_w: Any
     """(3,) origin of the base frame in the world [m]."""
     base_quat_w: Any
-    """(4,) unit quaternion (w, x, y, z) that rotates base into world."""
+    """(4,) unit quaternion (w, x, y, z) that rotates from base to world."""
     base_lin_vel_b: Any
     """(3,) velocity of the base frame's origin, in the base frame [m/s]."""
     base_ang_vel_b: Any
     """(3,) in the base frame [rad/s]."""
     time_s: float
-    """When they were measured, on the clock of `now_s` [s]."""
+    """Time of the measurement on the clock of `now_s` [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The inputs of one step as plain numbers; the commands follow from the sequence of these alone."""
+    """The inputs of one step as plain numbers. The sequence of frames fully determines the commands."""
 
     joint_pos: np.ndarray
     joint_vel: np.ndarray
@@ -49,9 +49,9 @@ class Frame:
     terrain_time_s: float
     now_s: float
     goal: Goal | None
-    """None where what was given is no goal."""
+    """None if the argument was not a goal."""
     mistake: str = ""
-    """What is wrong with the arguments themselves, such as two that are swapped; empty where nothing is."""
+    """A fault of the arguments themselves, such as two that are swapped; empty if there is none."""
 
 
 ARRAYS = ("joint_pos", "joint_vel", "base_pos_w", "base_quat_w", "base_lin_vel_b", "base_ang_vel_b", "heights_w")
@@ -61,7 +61,7 @@ TERRAINS = (GridHeights, HeightMap, PointCloud)
 
 
 def numbers(value: Any) -> np.ndarray:
-    """A copy as float64, or an empty array where it is not made of real numbers; masked entries become NaN."""
+    """A copy as float64, or an empty array if it is not made of real numbers. Masked entries become NaN."""
     try:
         if isinstance(value, np.ma.MaskedArray):
             value = value.astype(np.float64).filled(np.nan)
@@ -71,7 +71,7 @@ def numbers(value: Any) -> np.ndarray:
 
 
 def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightGrid) -> Frame:
-    """Bring the arguments of a step into a frame; nothing they hold or do makes this raise."""
+    """Convert the arguments of a step into a frame. This never raises because of the arguments."""
     values = {name: numbers(_attribute(sensors, name)) for name in ARRAYS[:-1]}
     heights, mistake = NOTHING, _swapped(sensors, goal, terrain)
     try:
@@ -98,7 +98,7 @@ def _attribute(value: Any, name: str) -> Any:
 
 
 def _goal(goal: Any) -> Goal | None:
-    """A goal of plain numbers, whatever subclass it was and however it was made."""
+    """The goal with plain numbers and its own class, even if a subclass was given."""
     for kind in GOALS:
         if issubclass(type(goal), kind):
             return kind(**{field.name: _attribute(goal, field.name) for field in fields(kind)})
@@ -106,7 +106,7 @@ def _goal(goal: Any) -> Goal | None:
 
 
 def _swapped(sensors: Any, goal: Any, terrain: Any) -> str:
-    """Say so if an argument is of the class that another one should have."""
+    """A message if an argument has the class of another one, otherwise an empty string."""
     roles = {"sensors": (Sensors,), "goal": GOALS, "terrain": TERRAINS}
     given = {"sensors": sensors, "goal": goal, "terrain": terrain}
     for name, value in given.items():
@@ -120,7 +120,7 @@ def _swapped(sensors: Any, goal: Any, terrain: Any) -> str:
 
 
 def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightGrid) -> tuple[np.ndarray, str]:
-    """Heights at the grid's points, and what is wrong with the arguments they were given with."""
+    """Heights at the grid's points, and a message about faulty arguments."""
     kind = type(terrain)
     if issubclass(kind, GridHeights):
         heights = numbers(terrain.heights_w)
@@ -143,7 +143,7 @@ def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightGrid) 
 
 
 def _shapes(signature: str, *wanted: tuple[str, np.ndarray, int | tuple[int | None, ...]]) -> str:
-    """Say which of the arrays has not the wanted shape, or number of dimensions; a shape's None is any size."""
+    """A message about arrays with a wrong shape or number of dimensions. None in a shape means any size."""
     wrong = []
     for name, array, shape in wanted:
         if isinstance(shape, int):

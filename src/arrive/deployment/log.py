@@ -1,4 +1,4 @@
-"""A log of every step's inputs and commands, from which the commands can be computed again."""
+"""A log of every step's inputs and commands, from which the commands can be recomputed."""
 
 import dataclasses
 import io
@@ -20,7 +20,7 @@ KINDS = {kind.__name__: kind for kind in GOALS}
 
 
 class ControlLog:
-    """Grows by about 2 kB per step. Of a map or a point cloud it keeps the heights at the grid's points."""
+    """Records inputs and commands, about 2 kB per step. Of a map or a point cloud it keeps the grid's heights."""
 
     def __init__(self):
         """Start empty."""
@@ -29,13 +29,13 @@ class ControlLog:
         self.commands: list[JointCommand] = []
 
     def append(self, policy: PolicyFile, frame: Frame, command: JointCommand) -> None:
-        """Take down one step."""
+        """Record one step."""
         self.policy_digest = policy.digest
         self.frames.append(frame)
         self.commands.append(command)
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz file of plain arrays and JSON, whole or not at all; reading it executes nothing.
+        """Write an .npz file of plain arrays and JSON, atomically. Reading it executes nothing.
 
         Raises:
             ArriveError: the folder cannot be written or the disk is full.
@@ -62,7 +62,7 @@ class ControlLog:
         """Read a log.
 
         Raises:
-            ArriveError: missing, corrupt or foreign.
+            ArriveError: the file is missing, corrupt or not a controller's log.
         """
         log = cls()
         try:
@@ -78,7 +78,7 @@ class ControlLog:
             rows = zip(content["targets"], texts["modes"], texts["reasons"], strict=True)
             log.commands += [JointCommand(*row) for row in rows]
         except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
-            raise ArriveError(f"cannot read {path}: it is missing, corrupt or no log of a controller") from error
+            raise ArriveError(f"cannot read {path}: it is missing, corrupt or not a controller's log") from error
         return log
 
 

@@ -1,8 +1,8 @@
-"""The bytes of an exported policy: sealed by a checksum, and read without the `onnx` package.
+"""Reads the bytes of an exported policy without the `onnx` package, and checks its checksum.
 
-An ONNX file is a Protocol Buffers message (onnx.proto3, field numbers below). Of all that such a file may hold, an
-exported policy has little: a chain of `Gemm` and `Elu` nodes, float32 weights within the file, and metadata. Everything
-else is refused before onnxruntime sees it: external data, other operators, other fields, sizes beyond the file's own.
+An ONNX file is a Protocol Buffers message (onnx.proto3, field numbers below). An exported policy uses only a small part
+of the format: a few operators, weights inside the file, and metadata. Everything else is refused before onnxruntime
+sees it: external data, other operators, other fields, and sizes beyond that of the file.
 """
 
 import hashlib
@@ -17,13 +17,13 @@ import numpy as np
 from arrive.errors import ArriveError
 
 PREFIX = "arrive."
-"""Every metadata key begins with this; each value is JSON."""
+"""Prefix of every metadata key. Each value is JSON."""
 SEAL = "sha256"
 """The last metadata entry: the SHA-256 of all bytes before it."""
 OPERATORS = ("Gemm", "Elu", "Gather", "Less", "Mul", "Where")
 """Layers, and the reflections of a symmetric network."""
 LARGEST_FILE = 256 * 2**20
-"""A policy file is some hundred kB; more than this is not read [bytes]."""
+"""Larger files are refused. A policy file has some hundred kB [bytes]."""
 
 VARINT, BYTES, FIXED32 = 0, 2, 5
 NUMBER_TYPES = {1: np.dtype("<f4"), 7: np.dtype("<i8")}
@@ -38,34 +38,34 @@ TENSOR = {1: "dims", 2: "data_type", 8: "name", 9: "raw_data", 14: "data_locatio
 OPSET = {1: "domain", 2: "version"}
 ENTRY = {1: "key", 2: "value"}
 NUMBERS = {"ir_version", "model_version", "version", "i", "type", "dims", "data_type", "data_location"}
-"""Fields that are whole numbers; `f` is a float32, all others are bytes."""
+"""Integer fields. `f` is a float32, and all others are bytes."""
 REFUSED = {
     "TensorProto": {13: "external data"},
     "ModelProto": {20: "training information", 25: "functions of its own"},
     "AttributeProto": {5: "a tensor", 6: "a graph"},
 }
-"""What is worth a name of its own when it is refused."""
+"""Fields that get their own message when they are refused."""
 
 
 class Damaged(Exception):
-    """The bytes are no exported policy; the message says where."""
+    """The bytes are not an exported policy. The message says why."""
 
 
 @dataclass(frozen=True, eq=False)
 class OnnxFile:
-    """What an exported policy holds."""
+    """Content of an exported policy."""
 
     content: bytes
     metadata: dict[str, str]
-    """Without the seal."""
+    """Metadata without the checksum."""
     weights: dict[str, np.ndarray]
-    """By name: float32, or int64 where they are indices."""
+    """Weights (float32) and indices (int64) by name."""
     digest: str
-    """SHA-256 that seals the file, in hexadecimal."""
+    """The file's SHA-256 in hexadecimal."""
 
 
 def seal(content: bytes) -> bytes:
-    """Append the checksum of a model to it, as one more entry of its metadata."""
+    """Append a model's checksum to it, as the last entry of its metadata."""
     return content + _seal_of(content)
 
 
@@ -76,10 +76,11 @@ def _seal_of(content: bytes) -> bytes:
 
 
 def read_onnx_file(path: Path) -> OnnxFile:
-    """Read the bytes of an exported policy and make sure they are those that were written, and harmless.
+    """Read the bytes of an exported policy, and check that they are unchanged and harmless.
 
     Raises:
-        ArriveError: missing, changed, truncated, foreign, or with anything that no exported policy has.
+        ArriveError: the file is missing, changed, truncated or not from arrive, or has content that no exported policy
+            has.
     """
     content = _read(path)
     body = _sealed_body(path, content)
@@ -103,7 +104,7 @@ def _read(path: Path) -> bytes:
 
 
 def _sealed_body(path: Path, content: bytes) -> bytes:
-    """All bytes before the seal."""
+    """All bytes before the checksum."""
     size = len(_seal_of(b""))
     body = content[:-size]
     if len(content) > size and content == body + _seal_of(body):
@@ -141,7 +142,7 @@ def _read_model(body: memoryview) -> tuple[dict[str, str], dict[str, np.ndarray]
 
 
 def _read_graph(graph: memoryview) -> dict[str, np.ndarray]:
-    """Its weights; the nodes are only checked."""
+    """The weights of a graph. Its nodes are only checked."""
     weights, nodes = {}, []
     for name, value in _fields(graph, GRAPH, "GraphProto"):
         if name == "node":
@@ -177,10 +178,10 @@ def _read_node(node: memoryview) -> tuple[str, list[str]]:
 
 
 def _check_growth(operator: str, inputs: list[str], weights: dict[str, np.ndarray]) -> None:
-    """Refuse what could make more numbers than the file has weights.
+    """Refuse graphs whose intermediate values could be much larger than the file.
 
-    Every value begins with the batch, so that nothing is spread over two sizes from the file: matrices are weights of
-    layers, and no node works on constants alone.
+    Every value must depend on the batch, so that its size is never a product of two sizes from the file: matrices may
+    only be weights of layers, and no node may work on constants alone.
     """
     if not inputs or all(name in weights for name in inputs) or (operator == "Gather" and inputs[0] in weights):
         raise Damaged(f"its operator {operator} works on constants")
@@ -190,7 +191,7 @@ def _check_growth(operator: str, inputs: list[str], weights: dict[str, np.ndarra
 
 
 def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
-    """Name and values of weights or indices, whose bytes must be there."""
+    """Name and values of weights or indices. Their data must be in the file."""
     dims, one = [], {}
     for name, value in _fields(tensor, TENSOR, "TensorProto"):
         if name == "dims":
@@ -213,7 +214,7 @@ def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
 
 
 def _one(message: memoryview, known: dict[int, str], kind: str) -> dict[str, int | memoryview]:
-    """A message in which every field is there once at most."""
+    """The fields of a message in which every field occurs at most once."""
     values: dict[str, int | memoryview] = {}
     for name, value in _fields(message, known, kind):
         if name in values:
@@ -223,7 +224,7 @@ def _one(message: memoryview, known: dict[int, str], kind: str) -> dict[str, int
 
 
 def _fields(message: memoryview, known: dict[int, str], kind: str) -> Iterator[tuple[str, int | memoryview]]:
-    """Name and value of every field of a Protocol Buffers message; a field that is not known is refused."""
+    """Name and value of every field of a Protocol Buffers message. Unknown fields are refused."""
     at = 0
     while at < len(message):
         tag, at = _varint(message, at)
@@ -250,7 +251,7 @@ def _wire_of(name: str) -> int:
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """A number, and where the next field begins."""
+    """A number, and the position of the next field."""
     value = 0
     for shift in range(0, 70, 7):
         if at >= len(message):

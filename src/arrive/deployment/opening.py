@@ -1,4 +1,4 @@
-"""Opens the policy that a person names, exported or not."""
+"""Opens the policy that the user names, exported or not."""
 
 import tempfile
 from pathlib import Path
@@ -8,17 +8,17 @@ from arrive.policies import DEFAULT, EXPORTED, find_policy
 
 
 def open_policy(name: Path | str | None = None) -> PolicyFile:
-    """A policy as the controller runs it; see `find_policy` for names, `DEFAULT` if there is none.
+    """Open a policy for the controller; see `find_policy` for names. Without a name, open `DEFAULT`.
 
     Raises:
-        ArriveError: there is none of this name, or it cannot be read.
+        ArriveError: there is no policy of this name, or it cannot be read.
     """
     path = find_policy(name or DEFAULT)
     return read_policy_file(path) if path.suffix == EXPORTED else _exported(path)
 
 
 def _exported(path: Path) -> PolicyFile:
-    """Export a trained policy into a file that does not outlive the call."""
+    """Export a trained policy into a temporary file and read that."""
     # Imported here because only this needs torch.
     from arrive.deployment.export import export_policy
     from arrive.learning.policy import load_policy

@@ -1,4 +1,4 @@
-"""Checks that the values of an exported policy can be right: finite, of the right sign, size and order."""
+"""Checks that the values of an exported policy are plausible: finite, and of the right sign, size and order."""
 
 import math
 from typing import Any
@@ -8,17 +8,17 @@ import numpy as np
 from arrive.deployment.specs import MOTOR_FIGURES, GridSpec, RobotSpec, TaskSpec
 
 LARGEST_ANGLE_RAD = 100.0
-"""Joint limits beyond this are no radians."""
+"""Joint limits beyond this are not in radians."""
 LARGEST_LENGTH_M = 20.0
-"""Of a robot and the ground that its policy looks at."""
+"""Largest length of a robot and of its height grid."""
 SAME_M = 1e-4
-"""Grid points are where they should be within this."""
+"""Tolerance for the positions of grid points."""
 LEAST_GOLDEN = 1e-3
-"""Golden inputs and outputs must vary by this much at least; pairs that do not would be met by any network."""
+"""Golden inputs and outputs must vary by at least this. Constant pairs could be reproduced by any network."""
 
 
 class Implausible(Exception):
-    """A value that cannot be right; the message names it."""
+    """An implausible value. The message names it."""
 
 
 def number(name: str, value: Any) -> float:
@@ -36,14 +36,14 @@ def positive(name: str, value: Any, most: float = 1e6) -> float:
 
 
 def numbers(name: str, values: Any, size: int) -> list[float]:
-    """The values, if they are a list of so many finite numbers."""
+    """The values, if they are a list of `size` finite numbers."""
     if not isinstance(values, list) or len(values) != size:
         raise Implausible(f"{name} is not a list of {size} numbers")
     return [number(f"{name}[{i}]", value) for i, value in enumerate(values)]
 
 
 def ascending(name: str, values: Any) -> tuple[float, float]:
-    """The values, if they are two numbers of which the second is larger."""
+    """The values, if they are two numbers in ascending order."""
     low, high = numbers(name, values, 2)
     if not low < high:
         raise Implausible(f"{name} is {values!r}, not in ascending order")
@@ -51,12 +51,12 @@ def ascending(name: str, values: Any) -> tuple[float, float]:
 
 
 def per_joint(name: str, value: Any, joints: int) -> list[float]:
-    """A value of each joint, from one number for all or a list of so many."""
+    """One value per joint, from a single number for all or a list of `joints` numbers."""
     return numbers(name, value, joints) if isinstance(value, list) else [number(name, value)] * joints
 
 
 def check_robot(robot: RobotSpec) -> None:
-    """Make sure that limits, default pose, gains and the motor's figures can be those of a robot."""
+    """Check that limits, default pose, gains and motor values are plausible for a robot."""
     names = robot.joint_names
     if not isinstance(names, list) or not names or not all(isinstance(x, str) and x for x in names):
         raise Implausible("robot.joint_names is not a list of names")
@@ -68,7 +68,7 @@ def check_robot(robot: RobotSpec) -> None:
     for joint, pose, limits in zip(names, default, robot.joint_limits_rad, strict=True):
         low, high = ascending(f"the range of {joint}", limits)
         if max(-low, high) > LARGEST_ANGLE_RAD:
-            raise Implausible(f"the range of {joint} is {limits}, which are no radians")
+            raise Implausible(f"the range of {joint} is {limits}, which is not in radians")
         if not low <= pose <= high:
             raise Implausible(f"the default position of {joint}, {pose:g} rad, is outside its range {limits}")
     positive("robot.action_scale_rad", robot.action_scale_rad, LARGEST_ANGLE_RAD)
@@ -85,7 +85,7 @@ def check_robot(robot: RobotSpec) -> None:
 
 
 def check_grid(grid: GridSpec) -> None:
-    """Make sure that the points are a whole regular grid, x slowest, both ascending."""
+    """Check that the points are a complete regular grid, x slowest, both ascending."""
     step = positive("heights.step_m", grid.step_m, LARGEST_LENGTH_M)
     low, high = ascending("heights.clip_m", grid.clip_m)
     if not -LARGEST_LENGTH_M <= low < 0.0 < high <= LARGEST_LENGTH_M:
@@ -97,17 +97,17 @@ def check_grid(grid: GridSpec) -> None:
     points = np.array([numbers(f"heights.points_m[{i}]", point, 2) for i, point in enumerate(grid.points_m)])
     low, high = points.min(axis=0), points.max(axis=0)
     if max(-low.min(), high.max()) > LARGEST_LENGTH_M:
-        raise Implausible("heights.points_m lie farther away than a policy looks")
+        raise Implausible("heights.points_m are too far away")
     nx, ny = (np.rint((high - low) / step) + 1).astype(int)
     if nx * ny == len(points):
         whole = low + step * np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
         if np.abs(points - whole).max() <= SAME_M:
             return
-    raise Implausible("heights.points_m are no whole grid with heights.step_m between its points")
+    raise Implausible("heights.points_m are not a complete grid with a spacing of heights.step_m")
 
 
 def check_task(task: TaskSpec) -> None:
-    """Make sure that times and distances can be those of a task."""
+    """Check that times and distances are plausible for a task."""
     positive("task.episode_s", task.episode_s)
     positive("task.reward_window_s", task.reward_window_s, task.episode_s)
     positive("task.arrival_radius_m", task.arrival_radius_m)
@@ -119,7 +119,7 @@ def check_task(task: TaskSpec) -> None:
 
 
 def check_golden(golden: dict[str, Any], size: int, joints: int) -> tuple[np.ndarray, np.ndarray]:
-    """(n, size) inputs and (n, joints) outputs of the golden pairs, if they would tell a broken network."""
+    """(n, size) inputs and (n, joints) outputs of the golden pairs, if they can detect a broken network."""
     pairs = []
     for name, width in (("observations", size), ("actions", joints)):
         values = np.array(golden[name], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The exported policy: one ONNX file whose metadata says all that running it takes. Needs onnxruntime, not torch."""
+"""The exported policy: one ONNX file with all metadata needed to run it. Needs onnxruntime, not torch."""
 
 import json
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from arrive.deployment.specs import GridSpec, RobotSpec, TaskSpec, Term
 from arrive.errors import ArriveError
 
 FORMAT = 3
-"""Version of the metadata's layout."""
+"""Version of the metadata format."""
 SECTIONS = ("format", "robot", "control", "observation", "heights", "task", "training", "evaluation", "golden")
 INPUT, OUTPUT = "observation", "action"
 """Names of the network's input (batch, observations) and output (batch, joints), float32."""
 TOLERANCE = 1e-5
-"""Golden outputs must be met within this, in units of the largest of them if that is above 1: float32 has 7 digits."""
+"""Tolerance for golden outputs, relative to the largest of them if that is above 1. float32 has 7 digits."""
 LONGEST_PERIOD_S = 1.0
 
 
@@ -32,7 +32,7 @@ class PolicyFile:
     meta: dict[str, Any]
     """The metadata, section by section."""
     digest: str
-    """SHA-256 of the file's content, which names this policy."""
+    """SHA-256 of the file's content, which identifies this policy."""
     terms: tuple[Term, ...]
     robot: RobotSpec
     grid: GridSpec
@@ -45,11 +45,11 @@ class PolicyFile:
 
 
 def read_policy_file(path: Path | str) -> PolicyFile:
-    """Read an exported policy, check its seal and every value, and recompute its golden pairs.
+    """Read an exported policy, check its checksum and every value, and recompute its golden pairs.
 
     Raises:
-        ArriveError: missing, truncated, not an export of arrive, of another format, changed since it was written, with
-            values that cannot be, or it does not compute here what it computed where it was exported.
+        ArriveError: the file is missing, truncated, changed, not exported by arrive or of another format, it has
+            implausible values, or its network does not reproduce the golden pairs.
     """
     path = Path(path)
     content = read_onnx_file(path)
@@ -73,7 +73,7 @@ def read_policy_file(path: Path | str) -> PolicyFile:
         _check_sizes(file)
         _check_golden(file)
     except Implausible as problem:
-        raise ArriveError(f"{path} cannot be right: {problem}. Export the policy again.") from problem
+        raise ArriveError(f"{path} is implausible: {problem}. Export the policy again.") from problem
     except (TypeError, ValueError, KeyError, AttributeError, IndexError, OverflowError) as error:
         raise ArriveError(f"the metadata of {path} is damaged: {error!r}. Export the policy again.") from error
     return file
@@ -95,7 +95,7 @@ def _open(path: Path, file: OnnxFile) -> onnxruntime.InferenceSession:
 
 def _parse(path: Path, text: dict[str, str]) -> dict[str, Any]:
     if PREFIX + "format" not in text:
-        raise ArriveError(f"{path} is an ONNX file but no policy of arrive: it lacks the metadata of `arrive export`")
+        raise ArriveError(f"{path} is an ONNX file but not a policy of arrive: it has no metadata of `arrive export`")
     if text[PREFIX + "format"] != str(FORMAT):
         raise ArriveError(f"{path} has export format {text[PREFIX + 'format']}, this version reads {FORMAT}")
     missing = [name for name in SECTIONS if PREFIX + name not in text]
@@ -108,11 +108,11 @@ def _parse(path: Path, text: dict[str, str]) -> dict[str, Any]:
 
 
 def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a number")
 
 
 def _check_terms(file: PolicyFile) -> None:
-    """Slices have distinct names, join without gaps and have a positive scale."""
+    """Check that slices have distinct names, no gaps and positive scales."""
     if len({term.name for term in file.terms}) != len(file.terms):
         raise Implausible("two observations have the same name")
     end = 0
@@ -125,7 +125,7 @@ def _check_terms(file: PolicyFile) -> None:
 
 
 def _check_sizes(file: PolicyFile) -> None:
-    """Every size agrees with the network's."""
+    """Check that all sizes agree with the network."""
     inputs, outputs = file.session.get_inputs(), file.session.get_outputs()
     if [x.name for x in inputs] != [INPUT] or [x.name for x in outputs] != [OUTPUT]:
         raise Implausible(f"its network must map {INPUT!r} to {OUTPUT!r} and nothing else")
@@ -134,7 +134,7 @@ def _check_sizes(file: PolicyFile) -> None:
         ("actions", outputs[0].shape[-1], len(file.robot.joint_names)),
     ):
         if size != expected:
-            raise Implausible(f"its network has {size} {what} where its metadata asks for {expected}")
+            raise Implausible(f"its network has {size} {what}, but its metadata requires {expected}")
 
 
 def _check_golden(file: PolicyFile) -> None:
@@ -146,6 +146,6 @@ def _check_golden(file: PolicyFile) -> None:
     error = np.abs(found - expected).max() / max(1.0, np.abs(expected).max())
     if not error <= TOLERANCE:
         raise ArriveError(
-            f"{file.path} does not compute what it computed when it was exported: golden actions differ by "
+            f"{file.path} does not reproduce its golden pairs: golden actions differ by "
             f"{error:.2g}, more than {TOLERANCE:g}. The network was changed, or onnxruntime does not work here."
         )

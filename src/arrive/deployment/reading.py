@@ -1,4 +1,4 @@
-"""An exported policy's network, to be measured and trained on like any other."""
+"""Reads an exported policy's network, for evaluation and training."""
 
 import math
 from pathlib import Path
@@ -17,10 +17,10 @@ from arrive.learning.policy import LOG_STD, Policy, assemble
 def load_exported(path: Path, device: torch.device | str = "cpu") -> Policy:
     """Read an exported policy as `load_policy` reads a policy.pt.
 
-    The file does not tell the action noise; the actor has that with which its training began.
+    The file does not contain the action noise, so the actor gets the initial noise of its training.
 
     Raises:
-        ArriveError: it cannot be read or checked, see `read_policy_file`.
+        ArriveError: the file cannot be read or fails its checks, see `read_policy_file`.
     """
     file = read_policy_file(path)
     training = file.meta["training"]
@@ -34,7 +34,7 @@ def load_exported(path: Path, device: torch.device | str = "cpu") -> Policy:
 
 
 def _layers(constants: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """The linear layers; between two of them lies an activation, which has no weights."""
+    """The linear layers. The activations between them have no weights."""
     numbers = sorted(int(name[1:]) for name in constants if name[0] == "w")
     names = {"w": "weight", "b": "bias"}
     return {
@@ -45,7 +45,7 @@ def _layers(constants: dict[str, np.ndarray]) -> dict[str, Tensor]:
 
 
 def _facing(constants: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """The maps of the reflections, one row each; nothing of a network without."""
+    """The maps of the reflections, one row each; empty for a network without symmetry."""
     names = {
         "observation_index": "o{}_index",
         "observation_sign": "o{}_sign",

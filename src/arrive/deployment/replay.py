@@ -1,4 +1,4 @@
-"""Computes the commands of a logged drive again."""
+"""Recomputes the commands of a log."""
 
 from arrive.deployment.command import JointCommand
 from arrive.deployment.controller import Controller
@@ -7,12 +7,12 @@ from arrive.errors import ArriveError
 
 
 def replay(log: ControlLog, controller: Controller) -> list[JointCommand]:
-    """The commands that the controller gives from a fresh start to the logged inputs.
+    """Reset the controller and compute its commands for the logged inputs.
 
     Raises:
-        ArriveError: the log is of another policy.
+        ArriveError: the log was recorded with another policy.
     """
     if log.frames and log.policy_digest != controller.policy.digest:
-        raise ArriveError(f"the log was taken with another policy than {controller.policy.path}")
+        raise ArriveError(f"the log was recorded with another policy than {controller.policy.path}")
     controller.reset()
     return [controller.step_frame(frame) for frame in log.frames]

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def matrix(quat: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation from base to world of a unit quaternion."""
+    """(3, 3) rotation matrix from base to world of a unit quaternion."""
     w, x, y, z = quat.tolist()
     return np.array([
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -16,7 +16,7 @@ def matrix(quat: np.ndarray) -> np.ndarray:
 
 
 def heading(quat: np.ndarray) -> float:
-    """Angle of the base's x axis in the ground plane, from the world's x axis [rad]."""
+    """Angle of the base's x axis in the horizontal plane, from the world's x axis [rad]."""
     w, x, y, z = quat.tolist()
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 

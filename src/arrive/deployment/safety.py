@@ -1,4 +1,4 @@
-"""The limits of what the controller believes, and the limits that no command leaves."""
+"""Limits for plausible inputs, and limits for joint targets."""
 
 import math
 from dataclasses import dataclass, fields
@@ -11,41 +11,42 @@ from arrive.errors import ArriveError
 
 @dataclass(frozen=True)
 class Safety:
-    """When to give up on the policy and what to do then."""
+    """Limits beyond which the policy does not act, and settings of the safe stance."""
 
     sensors_age_s: float = 0.1
-    """Sensors older than this, or newer than now by as much, are stale: five control periods [s]."""
+    """Sensor values older than this, or from the future by more than this, are stale. Five control periods [s]."""
     terrain_age_s: float = 1.0
-    """The same for heights; ground does not move [s]."""
+    """The same for heights, which may be older because the ground does not move [s]."""
     gap_s: float = 0.5
-    """Steps farther apart than this are no control loop, or their clock does not count seconds [s]."""
+    """Longest time between two steps. With more, the control loop is broken or its clock is not in seconds [s]."""
     least_seen: float = 0.25
-    """Heights need at least this share of points that were seen or have a seen neighbour."""
+    """Smallest share of height points that are seen or have a seen neighbour."""
     recover_s: float = 0.5
-    """The policy takes over again after inputs have been good for this long [s]."""
+    """The policy takes over again after all inputs have been good for this long [s]."""
     glide_rad_s: float = 0.5
     """Largest speed at which the safe stance moves joint targets to the default pose [rad/s]."""
     still_steps: int = 5
-    """A clock that hardly moves for this many steps stands still."""
+    """If the clock hardly advances for this many steps, it stands still."""
     tilt_rad: float = 1.3
-    """A base tilted by more than this has fallen. Policies on their hardest terrain walk with up to 1.13 rad [rad]."""
+    """A base tilted by more than this has fallen. Policies on their hardest terrain tilt it by up to 1.13 rad [rad]."""
     joint_margin_rad: float = 1.0
-    """Joints this far outside their range cannot be; contacts push simulated ones out by 0.3 rad [rad]."""
+    """Joint positions farther than this outside their range are implausible. In simulation, contacts push joints 0.3
+    rad out of range [rad]."""
     joint_speed_share: float = 10.0
-    """Joints cannot be faster than this many times the highest no-load speed; contacts drive simulated ones to 8
-    times."""
+    """Joint speeds above this multiple of the highest no-load speed are implausible. In simulation, contacts drive
+    joints to 8 times."""
     base_speed_m_s: float = 10.0
-    """A base cannot be faster than this [m/s]."""
+    """A base speed above this is implausible [m/s]."""
     base_rate_rad_s: float = 30.0
-    """A base cannot turn faster than this [rad/s]."""
+    """An angular velocity of the base above this is implausible [rad/s]."""
     jump: float = 0.2
-    """Between two steps, positions change by no more than the largest speed allows and this [m or rad]."""
+    """Between two steps, positions may change by what the largest speed allows plus this [m or rad]."""
     ground_m: float = 3.0
-    """A base that is this much higher or lower over the ground than when it stands is in another frame than the
-    heights, or in another unit [m]."""
+    """If the base is this much higher or lower above the ground than when standing, base and heights are in different
+    frames or units [m]."""
 
     def __post_init__(self):
-        """Refuse what is no limit.
+        """Check the values.
 
         Raises:
             ArriveError: a value that is not a finite number above 0.
@@ -60,7 +61,7 @@ DEFAULT = Safety()
 
 
 class Limits:
-    """The range in which joint targets stay."""
+    """Clamps joint targets to joint ranges and torque limits."""
 
     def __init__(self, robot: RobotSpec):
         """Read joint limits and gains."""
@@ -70,14 +71,14 @@ class Limits:
         self._lag = np.asarray(robot.damping) / stiffness
 
     def within_joints(self, targets: np.ndarray) -> np.ndarray:
-        """Targets cut to the joints' ranges."""
+        """Targets clamped to the joints' ranges."""
         return np.minimum(np.maximum(targets, self._low), self._high)
 
     def within_torque(self, targets: np.ndarray, joint_pos: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
-        """Targets cut so that |stiffness (target - q) - damping w| is within the effort limit, then to joint ranges.
+        """Targets clamped so that |stiffness (target - q) - damping w| <= effort limit, then to the joints' ranges.
 
-        The range of the joints wins where the two exclude each other: a joint far outside it is pulled back, by as
-        much as the drive itself allows.
+        If both cannot hold, the joint range wins: a joint far outside its range is pulled back as hard as the drive
+        itself allows.
         """
         centre = joint_pos + self._lag * joint_vel
         return self.within_joints(np.minimum(np.maximum(targets, centre - self._effort), centre + self._effort))

@@ -1,4 +1,4 @@
-"""What an exported policy says of its robot, its observation and its task."""
+"""The robot, observation and task that an exported policy describes."""
 
 from dataclasses import dataclass
 
@@ -18,13 +18,13 @@ class Term:
     unit: str
     frame: str
     scale: float
-    """The network receives value * scale."""
+    """The network gets value * scale."""
     labels: list[str]
 
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """What the controller must know of the robot; lists are in the order of `joint_names`."""
+    """The robot's properties that the controller needs. Lists are in the order of `joint_names`."""
 
     name: str
     joint_names: list[str]
@@ -32,11 +32,11 @@ class RobotSpec:
     joint_limits_rad: list[list[float]]
     """Lowest and highest position of each joint."""
     action_scale_rad: float
-    """Joint target = default position + this * action."""
+    """Joint target = default position + action scale * action."""
     stiffness: PerJoint
-    """Proportional gain the drives must run with [N m/rad]."""
+    """Proportional gain of the drives [N m/rad]."""
     damping: PerJoint
-    """Derivative gain the drives must run with [N m s/rad]."""
+    """Derivative gain of the drives [N m s/rad]."""
     effort_limit: PerJoint
     """[N m]."""
     stall_torque: PerJoint
@@ -44,31 +44,31 @@ class RobotSpec:
     no_load_speed: PerJoint
     """[rad/s]."""
     standing_height_m: float
-    """Base above flat ground at the default pose."""
+    """Height of the base above flat ground in the default pose."""
 
 
 @dataclass(frozen=True)
 class GridSpec:
-    """Where the network wants to know the ground's height."""
+    """The grid of points at which the network needs the ground height."""
 
     points_m: list[list[float]]
-    """x forward and y left of the base, horizontal, turned with its heading."""
+    """x forward and y left of the base, in the heading frame."""
     step_m: float
     offset_m: float
-    """Heights are relative to this far below the base, positive down."""
+    """Heights are relative to a point this far below the base, positive down."""
     clip_m: list[float]
-    """Least and largest relative height: beyond them they are cut."""
+    """Range to which relative heights are clipped."""
 
 
 @dataclass(frozen=True)
 class TaskSpec:
-    """What the policy was trained to do."""
+    """The task that the policy was trained on."""
 
     name: str
     reward_window_s: float
     episode_s: float
     target_height_m: float
-    """Targets were this high above the ground."""
+    """Height of targets above the ground."""
     target_distance_m: list[float]
-    """Nearest and farthest target."""
+    """Smallest and largest distance of targets."""
     arrival_radius_m: float

@@ -1,6 +1,6 @@
-"""How the controller computes the observation's terms; `arrive.terms` says what each is.
+"""Computes the observation terms in the controller. `arrive.terms` has their meaning.
 
-The exported file lists which terms its network wants, in which order and at which scale.
+The exported file lists the terms of its network, with their order and scale.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from arrive.terms import TERMS
 
 
 class Moment(NamedTuple):
-    """What the terms of one step are computed from."""
+    """Values of one step, from which the terms are computed."""
 
     policy: PolicyFile
     frame: Frame
@@ -26,7 +26,7 @@ class Moment(NamedTuple):
     """(3, 3) rotation from base to world."""
     order: Order
     action: np.ndarray
-    """(joints,) the network's last output, or the action that the safe stance stands for."""
+    """(joints,) the network's last output, or the action that corresponds to the safe stance."""
     heights_w: np.ndarray
     """(points,) without NaN [m]."""
     default: np.ndarray
@@ -39,7 +39,7 @@ class ObservedTerm:
 
     size: Callable[[PolicyFile], int]
     compute: Callable[[Moment], np.ndarray | tuple[float, ...]]
-    """In the term's unit, before the scale."""
+    """Returns the values in the term's unit, before scaling."""
 
 
 def _three(policy: PolicyFile) -> int:
@@ -67,11 +67,11 @@ COMPUTED: dict[str, ObservedTerm] = {
     "action": ObservedTerm(_joints, lambda m: m.action),
     "heights": ObservedTerm(lambda policy: len(policy.grid.points_m), _heights),
 }
-"""Those of `arrive.terms` that the controller can provide."""
+"""The terms of `arrive.terms` that the controller can compute."""
 
 
 def register_computed(name: str, term: ObservedTerm) -> None:
-    """Tell the controller how to compute an observation of one's own; without it no controller runs its policies.
+    """Add the computation of your own observation term. Without it, the controller refuses policies that use the term.
 
     Raises:
         ArriveError: the name is taken.
@@ -80,10 +80,10 @@ def register_computed(name: str, term: ObservedTerm) -> None:
 
 
 def check_terms(policy: PolicyFile) -> None:
-    """Make sure that every term the network wants is in the table, and means there what it means in the file.
+    """Check that the controller knows every term of the network, with the size, unit and frame in the file.
 
     Raises:
-        ArriveError: an unknown term, or one of another size, unit or frame.
+        ArriveError: a term is unknown, or has another size, unit or frame.
     """
     for term in policy.terms:
         if term.name not in COMPUTED:

@@ -1,7 +1,7 @@
-"""Checks an exported policy: `python -m arrive.deployment.verify FILE`. Needs NumPy and onnxruntime alone.
+"""Checks an exported policy: `python -m arrive.deployment.verify FILE`. Needs only NumPy and onnxruntime.
 
-Where the training installation is at hand, robot, observation, height grid, control period and task are compared with
-what this version of `arrive` has under these names.
+With the training installation, robot, observation, height grid, control period and task are also compared with those of
+this version of `arrive`.
 """
 
 import importlib.util
@@ -12,7 +12,7 @@ from arrive.deployment.policy_file import PolicyFile, read_policy_file
 from arrive.errors import ArriveError
 
 TRAINING = ("torch", "mujoco", "rsl_rl", "onnx")
-"""What the comparison with this version's robot and task needs."""
+"""Packages that the comparison with this version's robot and task needs."""
 
 
 def has_training() -> bool:
@@ -21,11 +21,11 @@ def has_training() -> bool:
 
 
 def verify(path: Path | str) -> PolicyFile:
-    """Recompute all that can be recomputed of an exported policy.
+    """Run all checks of an exported policy.
 
     Raises:
-        ArriveError: see `read_policy_file`; or its robot, observation, height grid, control period or task is not what
-            this version of arrive has under these names.
+        ArriveError: see `read_policy_file`; or its robot, observation, height grid, control period or task differs
+            from that of this version of arrive.
     """
     file = read_policy_file(path)
     if has_training():
@@ -37,17 +37,17 @@ def verify(path: Path | str) -> PolicyFile:
 
 
 def describe(file: PolicyFile) -> str:
-    """One line about a sound file."""
-    compared = "" if has_training() else "; its robot and task were not compared, which the training installation does"
+    """One line about a valid file."""
+    compared = "" if has_training() else "; its robot and task were not compared, which needs the training installation"
     return (
         f"{file.path} is sound: {file.robot.name}, {len(file.robot.joint_names)} joints, {file.terms[-1].stop} "
         f"observations, task {file.task.name}, {1.0 / file.period_s:.0f} Hz, {len(file.meta['golden']['actions'])} "
-        f"golden pairs met{compared}"
+        f"golden pairs reproduced{compared}"
     )
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Check the file named on the command line; a problem is one line on standard error and exit status 1."""
+    """Check the file named on the command line. An error prints one line on standard error and exits with 1."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if len(arguments) != 1 or arguments[0].startswith("-"):
         print("usage: arrive verify FILE", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Decides in every step whether the inputs can be true."""
+"""Checks in every step whether the inputs are plausible."""
 
 import math
 from typing import NamedTuple
@@ -12,27 +12,27 @@ from arrive.deployment.safety import Safety
 from arrive.deployment.specs import RobotSpec
 
 STILL_SHARE = 0.05
-"""A step in which the clock moves by less than this share of the control period counts as one in which it stood."""
+"""If the clock advances by less than this share of the control period in a step, it stands still."""
 
 
 class Verdict(NamedTuple):
-    """What is to be thought of the inputs of one step."""
+    """Result of the checks of one step."""
 
     fault: BadInput | None
-    """The first reason not to act on them."""
+    """The first fault, or None."""
     sensors_good: bool
-    """Whether the robot's state, at least, can be believed."""
+    """Whether at least the robot's state is plausible."""
 
 
 class Watchdog:
-    """Compares inputs with what a robot can do, and with the inputs of the step before."""
+    """Compares inputs with the robot's limits, and with the inputs of the last step."""
 
     def __init__(self, robot: RobotSpec, points: int, period_s: float, safety: Safety):
-        """Learn the robot's ranges.
+        """Store the robot's ranges.
 
         Args:
             points: number of heights.
-            period_s: time of a control step [s].
+            period_s: control period [s].
         """
         joints = len(robot.joint_names)
         self._safety, self._names, self._points = safety, robot.joint_names, points
@@ -51,15 +51,15 @@ class Watchdog:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the step before."""
+        """Forget the last step."""
         self._before: Frame | None = None
         self._now_s: float | None = None
         self._still = 0
 
     def judge(self, frame: Frame) -> Verdict:
-        """Whether the policy may act on a frame; remembers it for the next step."""
+        """Whether the policy may act on a frame, which is stored for the next step."""
         sensors = self._first_fault(frame, self._check_whole, self._check_age, self._check_ranges, self._check_jumps)
-        # In this order, so that the reason given is the cause and not its consequence.
+        # In this order, so that the reported reason is the cause and not its consequence.
         fault = self._first_fault(frame, self._check_clock, self._check_arguments) or sensors
         if fault is None:
             fault = self._first_fault(frame, self._check_tilt, self._check_terrain)
@@ -132,7 +132,7 @@ class Watchdog:
         before, safety = self._before, self._safety
         if before is None:
             return
-        # Stamps may move on by more than the clock where a late measurement is followed by a fresh one.
+        # Time stamps may advance by more than the clock when a new measurement follows a late one.
         dt = max(frame.now_s - before.now_s, frame.sensors_time_s - before.sensors_time_s, 0.0)
         for name, unit, change, speed in (
             ("joint_pos", "rad", np.abs(frame.joint_pos - before.joint_pos).max(), self._joint_speed),
@@ -148,7 +148,7 @@ class Watchdog:
             raise Fallen(f"the base is tilted by {angle:.2f} rad, more than {self._safety.tilt_rad:g} rad")
 
     def _check_terrain(self, frame: Frame) -> None:
-        """NaN is a point that nothing was seen at."""
+        """Check the heights. NaN is an unseen point."""
         if frame.heights_w.shape != (self._points,):
             raise BadInput(f"heights are not {self._points} numbers, a height map or a point cloud")
         if np.isinf(frame.heights_w).any():
