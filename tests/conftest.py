@@ -7,6 +7,7 @@ import pytest
 from arrive.deployment.export import export_policy
 from arrive.learning.policy import load_policy
 from arrive.policies import DEFAULT
+from arrive.render.graphics import GraphicsUnavailable, graphics_backend
 
 
 @pytest.fixture(scope="session")
@@ -15,3 +16,12 @@ def exported(tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("exported") / "robot.onnx"
     export_policy(load_policy(Path(DEFAULT)), file)
     return file
+
+
+@pytest.fixture
+def graphics_or_skip() -> None:
+    """For a test that draws: skips it on a machine that cannot."""
+    try:
+        graphics_backend()
+    except GraphicsUnavailable as missing:
+        pytest.skip(str(missing))

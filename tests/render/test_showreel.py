@@ -10,7 +10,6 @@ from arrive.play.skills import open_skill
 from arrive.policies import shipped_names
 from arrive.policies.solved import solved_beside
 from arrive.render import showreel
-from arrive.render.graphics import GraphicsUnavailable, graphics_backend
 from arrive.render.showreel import FPS, SIZE, frames, record, write_showreel
 from arrive.terrain.ground import ground_of
 
@@ -47,11 +46,7 @@ def test_every_terrain_shows_the_policy_that_solves_the_hardest(tmp_path, monkey
         command._scenes(())
 
 
-def test_frames_follow_real_time_and_move(episode, monkeypatch):
-    try:
-        graphics_backend()
-    except GraphicsUnavailable as error:
-        pytest.skip(str(error))
+def test_frames_follow_real_time_and_move(episode, graphics_or_skip, monkeypatch):
     monkeypatch.setattr(showreel, "FPS", 1)
     shown = [np.asarray(frame, dtype=float) for frame in frames(episode)]
     assert len(shown) == int((len(episode.qpos) - 1) * episode.control_dt) + 1
