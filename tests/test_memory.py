@@ -61,7 +61,6 @@ def test_the_narrower_of_machine_and_container_counts(monkeypatch, tmp_path):
 
 
 def test_as_many_robots_as_fit_are_built_and_no_more(one_gib, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("arrive.config.memory_bytes", lambda: 10**15)  # of which only so much is free
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit):
         cli.main(["train", "flat", "--num-envs", "1000000", "--threads", "1"])

@@ -4,7 +4,6 @@ The parameters of tasks, rewards, observations and physics are defined beside th
 ranges of all fields before anything is built.
 """
 
-import os
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -12,13 +11,12 @@ from typing import Annotated, Any, Literal
 
 from arrive import fields
 from arrive.errors import ArriveError
-from arrive.fields import Count, NotNegative, Positive, Range, Rule, Share, from_dict, override, to_dict
+from arrive.fields import SEED, Count, NotNegative, Positive, Range, Rule, Share, from_dict, override, to_dict
 from arrive.physics.options import PhysicsConfig
 from arrive.robots import get_robot
 from arrive.task.final import FinalConfig
 from arrive.task.observations import ObservationConfig
 from arrive.task.randomisation import RandomisationConfig
-from arrive.task.registry import get_task
 from arrive.task.task import TaskConfig
 from arrive.terrain import get_family
 from arrive.terrain.tile import START_RADIUS
@@ -37,11 +35,6 @@ __all__ = [
     "to_dict",
 ]
 
-BYTES_PER_ENTRY = 25
-"""Peak memory of training per observation entry of a rollout, storage and update together. Measured with `robust` and
-256 to 4,096 robots on a CPU."""
-BYTES_ALONE = 450_000_000
-"""Memory of training with almost no robots."""
 Precision = Literal["float32", "bfloat16", "auto"]
 
 
@@ -137,9 +130,9 @@ class Config:
     robot: str = "anymal_c"
     """The robot, see `arrive list robots`."""
     num_envs: Count = 1024
-    """Number of robots simulated in parallel."""
-    seed: Annotated[int, Range(0, 2**32 - 1)] = 1
-    """Random seed of networks, terrain and everything else."""
+    """Robots simulated side by side."""
+    seed: Annotated[int, SEED] = 1
+    """Seed of networks, terrain and everything random."""
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
@@ -151,12 +144,11 @@ class Config:
     def rules(self) -> tuple[Rule, ...]:
         """Conditions between fields."""
         batch, families = self.num_envs * self.ppo.num_steps, len(self.terrain.families)
-        mass, step, robots = base_mass(self.robot), self.physics.control_dt, robots_that_fit(self)
+        mass, step = base_mass(self.robot), self.physics.control_dt
         offset, level = self.randomisation.start_offset, START_RADIUS * get_robot(self.robot).size
         return (
             Rule("ppo.mini_batches", f"at most the batch of {batch}", self.ppo.mini_batches <= batch),
             Rule("num_envs", f"at least the number of terrain families, {families}", self.num_envs >= families),
-            Rule("num_envs", f"at most {robots}, which fit into this machine's memory", self.num_envs <= robots),
             Rule(
                 "randomisation.payload_kg",
                 f"above -{mass:g}, the base's own mass",
@@ -170,23 +162,6 @@ class Config:
             Rule("randomisation.start_offset", f"at most {level:g}, where the ground is level", offset <= level),
             Rule("task.episode_s", f"at least one policy step, {step:g} s", self.task.episode_s >= step),
         )
-
-
-def robots_that_fit(config: Config) -> int:
-    """Number of robots that this machine's memory is enough to train."""
-    terms = get_task(config.task.name).observation_terms(config.task, config.observation, get_robot(config.robot))
-    per_robot = BYTES_PER_ENTRY * sum(term.size for term in terms) * config.ppo.num_steps
-    return max(memory_bytes() - BYTES_ALONE, 0) // per_robot
-
-
-@cache
-def memory_bytes() -> int:
-    """Memory of this machine, or the limit of the process's control group if that is lower [bytes]."""
-    whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    try:
-        return min(whole, int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    except (OSError, ValueError):  # no such group, or "max"
-        return whole
 
 
 @cache

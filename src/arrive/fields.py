@@ -57,6 +57,8 @@ NotNegative = Annotated[float, Range(0.0)]
 NotPositive = Annotated[float, Range(high=0.0)]
 Share = Annotated[float, Range(0.0, 1.0)]
 Count = Annotated[int, Range(1)]
+SEED = Range(0, 2**32 - 1)
+"""Of a seed: what NumPy and torch both take."""
 Interval = tuple[float, float]
 """Two numbers, the smaller first."""
 

@@ -30,7 +30,8 @@ def good(*texts: str) -> Values:
 COUNT = bad(*NO_NUMBERS, *NEGATIVE, *FRACTIONS, "0")
 HELD = COUNT + bad(*HUGE)
 """A count of what is kept in memory: so many do not fit."""
-SEED = bad(*NO_NUMBERS, *NEGATIVE, *FRACTIONS, *HUGE[1:]) + good("0", "9007199254740992", "007", "+3")
+SEED = bad(*NO_NUMBERS, *NEGATIVE, *FRACTIONS, *HUGE, "9007199254740992", "4294967296")
+SEED += good("0", "4294967295", "007", "+3")
 POSITIVE = bad(*NO_NUMBERS, *NEGATIVE, "0", "-0.0", "0.0")
 THREADS = bad(*NO_NUMBERS, *NEGATIVE, *FRACTIONS, *HUGE, "1000000") + good("1", "2")
 LEVEL = bad(*NO_NUMBERS, *NEGATIVE, *FRACTIONS, *HUGE, "99")

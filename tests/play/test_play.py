@@ -285,12 +285,22 @@ def test_a_policy_that_nobody_measured_opens_on_level_ground(skill):
     assert skill.ground("evaluation").family.name == "flat"
 
 
-@pytest.mark.parametrize(
-    "content", ["", "{}", "[]", '{"families": 3}', '{"families": {"gap": {"max_at_95": "wide"}, "moon": {}}}']
-)
-def test_a_damaged_measurement_is_none(tmp_path, content):
-    (tmp_path / "difficulty.json").write_text(content)
-    assert solved_beside(tmp_path) == {}
+@pytest.mark.parametrize("content", ["", "{}", "[]", '{"families": 3}', '{"families": {"gap": 0.4}}'])
+def test_a_damaged_measurement_is_told_and_the_policy_can_be_chosen(tmp_path, monkeypatch, content):
+    (tmp_path / "leaper").mkdir()
+    (tmp_path / "leaper" / "policy.pt").touch()
+    (tmp_path / "leaper" / "difficulty.json").write_text(content)
+    with pytest.raises(ArriveError, match=r"cannot read .*difficulty\.json"):
+        solved_beside(tmp_path / "leaper")
+    monkeypatch.setattr(policies, "SHIPPED", tmp_path)
+    assert choices(str(RUN)) == {"leaper: measurement damaged": "leaper", "joystick": str(RUN)}
+
+
+@pytest.mark.parametrize("value", ["wide", None, True, 99.0, -1, float("nan"), [0.4]])
+def test_what_is_no_value_of_a_terrain_was_not_solved(tmp_path, value):
+    content = {"families": {"gap": {"max_at_95": value}, "moon": {}, "pit": {"max_at_95": 0.3}}}
+    (tmp_path / "difficulty.json").write_text(json.dumps(content))
+    assert solved_beside(tmp_path) == {"pit": 0.3}
 
 
 def test_the_chooser_says_what_policies_can(tmp_path, monkeypatch):

@@ -248,9 +248,10 @@ def report(command: Report) -> None:
         ArriveError: a run or a result cannot be read.
     """
     paths = [path if path.is_dir() else find_policy(path) for path in (command.run, *command.others)]
-    unmeasured = [str(path) for path in paths if read_run(path).difficulty is None]
+    runs = [read_run(path) for path in paths]
+    unmeasured = [str(path) for path, run in zip(paths, runs, strict=True) if run.difficulty is None]
     if unmeasured:
         print(f"not evaluated yet; run: arrive eval --protocol difficulty {shlex.join(unmeasured)}")
     files = {name: getattr(command, name) for name in FILES}
-    for path in write_report(paths, command.out, files):
+    for path in write_report(runs, command.out, files):
         print(f"report: {path}")

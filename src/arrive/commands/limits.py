@@ -4,12 +4,13 @@ from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from arrive.errors import ArriveError
-from arrive.fields import Range
+from arrive.fields import SEED, Range
+
+__all__ = ["COUNT", "INDEX", "POSITIVE", "SEED", "check_limits"]
 
 POSITIVE = Range(0.0, above=True)
 COUNT = Range(1)
 INDEX = Range(0)
-SEED = Range(0, 2**32 - 1)
 
 
 def check_limits(command: Any) -> None:

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from arrive.commands.settings import print_config
-from arrive.errors import unknown_name
+from arrive.errors import ArriveError, unknown_name
 from arrive.learning.rundir import read_config
 from arrive.policies import DIFFICULTY_NAME, SHIPPED, shipped_names
 from arrive.policies.solved import amounts, solved_beside
@@ -65,8 +65,11 @@ def _ability(policy: str) -> str:
     stick = " with moving targets, for a joystick" if config.task.retarget_s > 0.0 else ""
     trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
     if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
-        return f"not evaluated; {trained}"
-    solved = amounts(solved_beside(SHIPPED / policy))
+        return f"not measured; {trained}"
+    try:
+        solved = amounts(solved_beside(SHIPPED / policy))
+    except ArriveError as error:
+        return f"{error} {trained}"
     return f"solves {', '.join(solved) or 'nothing'} in 95 % of the episodes; {trained}"
 
 

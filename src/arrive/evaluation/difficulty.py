@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from arrive.config import RandomisationConfig, to_dict
@@ -11,7 +10,6 @@ from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, evalua
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.playing import Progress
 from arrive.evaluation.usage import usage_of
-from arrive.files import read_json
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.task.final import arrival_radius
@@ -205,21 +203,6 @@ def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | Non
             f"{policy.config.task.episode_s:g} s and is told no more than that"
         ),
     }
-
-
-def read_measured(path: Path) -> dict[str, Any] | None:
-    """A result by terrain family beside a policy, or None where there is none.
-
-    Raises:
-        ArriveError: it cannot be read, or is none.
-    """
-    if not path.is_file():
-        return None
-    content = read_json(path)
-    families = content.get("families")
-    if not isinstance(families, dict) or not all(isinstance(entry, dict) for entry in families.values()):
-        raise ArriveError(f"cannot read {path}: it has no families. Measure the policy again.")
-    return content
 
 
 def check_levels(levels: int | None) -> None:

@@ -13,12 +13,12 @@ import torch
 from arrive.config import Config, to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, Setting, evaluate
-from arrive.evaluation.difficulty import TRIAL, VARIANTS, describe, randomised, read_measured
+from arrive.evaluation.difficulty import TRIAL, VARIANTS, describe, randomised
 from arrive.evaluation.playing import Progress
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
-from arrive.policies import DIFFICULTY_NAME
+from arrive.policies.solved import solved_beside
 from arrive.task.final import FinalPositionTask
 from arrive.task.registry import get_task
 from arrive.terms import hold_time
@@ -128,10 +128,11 @@ def hardest_solved(folder: Path, family: Family, levels: int) -> float:
     Args:
         folder: of the run.
         levels: number of the policy's own levels.
+
+    Raises:
+        ArriveError: the measurement is damaged.
     """
-    measured = read_measured(folder / DIFFICULTY_NAME) or {"families": {}}
-    solved = measured["families"].get(family.name, {}).get("max_at_95")
-    return family.value(levels // 2, levels) if solved is None else min(max(solved, family.lowest), family.highest)
+    return solved_beside(folder).get(family.name, family.value(levels // 2, levels))
 
 
 def measure(

@@ -7,6 +7,7 @@ from pathlib import Path
 from arrive.config import Config, saved_config
 from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
+from arrive.errors import ArriveError
 from arrive.policies import DEFAULT, find_policy, shipped_names
 from arrive.policies.solved import TELLING, amounts, solved_beside, solved_in
 from arrive.terrain import FAMILIES, Layout
@@ -69,8 +70,11 @@ def choices(current: str) -> dict[str, str]:
 
 
 def _label(name: str) -> str:
-    solved = amounts(solved_beside(find_policy(name)))
     short = Path(name).name
+    try:
+        solved = amounts(solved_beside(find_policy(name)))
+    except ArriveError:  # a damaged measurement says nothing, and the policy can be played
+        return f"{short}: measurement damaged"
     if not solved:
         return short
     others = f" and {len(solved) - 1} more" if len(solved) > 1 else ""

@@ -1,10 +1,11 @@
 """What policies were measured to solve, read from `arrive eval --protocol difficulty`."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+from arrive.errors import ArriveError
+from arrive.files import read_json
 from arrive.policies import DIFFICULTY_NAME
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, varies
@@ -25,18 +26,36 @@ def solved_in(measurement: Any) -> dict[str, float]:
 
 
 def solved_beside(path: Path) -> dict[str, float]:
-    """The same of a run folder or a file in it, without reading the policy."""
+    """The same of a run folder or a file in it, without reading the policy; empty where it was not measured.
+
+    Raises:
+        ArriveError: its measurement is damaged.
+    """
     run = path if path.is_dir() else path.parent
-    try:
-        return solved_in(json.loads((run / DIFFICULTY_NAME).read_text()))
-    except (OSError, ValueError):
-        return {}
+    measured = read_measured(run / DIFFICULTY_NAME)
+    return {} if measured is None else solved_in(measured)
+
+
+def read_measured(path: Path) -> dict[str, Any] | None:
+    """A result by terrain family beside a policy, or None where there is none.
+
+    Raises:
+        ArriveError: it cannot be read, or is none.
+    """
+    if not path.is_file():
+        return None
+    content = read_json(path)
+    families = content.get("families")
+    if not isinstance(families, dict) or not all(isinstance(entry, dict) for entry in families.values()):
+        raise ArriveError(f"cannot read {path}: it has no families. Measure the policy again.")
+    return content
 
 
 def _within(family: str, value: object) -> bool:
     """Whether a file's value is one of the family's parameter."""
     kind = FAMILIES[family]
-    return isinstance(value, int | float) and math.isfinite(value) and kind.lowest <= value <= kind.highest
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and math.isfinite(value) and kind.lowest <= value <= kind.highest
 
 
 def amounts(solved: dict[str, float]) -> list[str]:

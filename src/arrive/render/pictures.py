@@ -1,7 +1,6 @@
 """Pictures and films of an episode, drawn offscreen by MuJoCo's renderer."""
 
 import copy
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from arrive.evaluation.episode import Episode
+from arrive.files import whole
 from arrive.render.graphics import open_renderer
 
 FRAME_SIZE = (400, 320)
@@ -58,9 +58,8 @@ def picture_strip(episode: Episode, path: Path, frames: int = 6) -> None:
             stamp = f"{step * episode.control_dt:.1f} s"
             middle = (left + width // 2, top + height + bottom // 2)
             draw.text(middle, stamp, "black", ImageFont.load_default(16), anchor="mm")
-    partial = path.with_name(f"{path.name}.partial")
-    strip.save(partial, format="PNG")
-    os.replace(partial, path)
+    with whole(path) as file:
+        strip.save(file, format="PNG")
 
 
 def film(episode: Episode, path: Path, fps: int = 25) -> None:
@@ -70,19 +69,17 @@ def film(episode: Episode, path: Path, fps: int = 25) -> None:
         GraphicsUnavailable: this machine cannot draw.
     """
     duration_s = (len(episode.qpos) - 1) * episode.control_dt
-    partial = path.with_name(f"{path.stem}.partial.mp4")
     font = ImageFont.load_default(18)
-    with open_stage(episode, *FILM_SIZE) as stage:
+    with whole(path) as file, open_stage(episode, *FILM_SIZE) as stage:
         options = {"fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 2}
         options["output_params"] = ["-preset", "veryfast"]
-        with imageio.get_writer(partial, format="FFMPEG", **options) as writer:
+        with imageio.get_writer(file, format="FFMPEG", **options) as writer:
             for frame in range(int(duration_s * fps) + 1):
                 image = Image.fromarray(stage.draw(episode.index_at(frame / fps)))
                 ended = frame == int(duration_s * fps)
                 label = f"{episode.caption}: {episode.outcome}" if ended else episode.caption
                 ImageDraw.Draw(image).text((12, 10), f"{label}   {frame / fps:.1f} s", "black", font)
                 writer.append_data(np.asarray(image))
-    os.replace(partial, path)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from arrive.errors import ArriveError
 from arrive.evaluation.arrival import CellResult
 from arrive.evaluation.difficulty import SHARES
 from arrive.evaluation.motion import UNITS
+from arrive.files import write_text
 from arrive.learning.curves import CURVES_NAME
 from arrive.report.reach import direction_table, distance_table, ground_words, protocol_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, Run
@@ -23,10 +24,7 @@ def write_card(run: Run, folder: Path) -> Path:
     if run.difficulty is None and run.reach is None:
         raise ArriveError(f"{run.name} was not measured: run `arrive eval --protocol difficulty {folder}` first")
     path = folder / CARD_NAME
-    try:
-        path.write_text(card_text(run, (folder / CURVES_NAME).is_file()))
-    except OSError as error:
-        raise ArriveError(f"cannot write {path}: {error}") from error
+    write_text(path, card_text(run, (folder / CURVES_NAME).is_file()))
     return path
 
 

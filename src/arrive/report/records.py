@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from arrive.evaluation.arrival import Cell, CellResult
-from arrive.evaluation.difficulty import read_measured
 from arrive.evaluation.reach import REACH_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import read_config, samples_before
 from arrive.policies import DIFFICULTY_NAME, EXPORTED
+from arrive.policies.solved import read_measured
 from arrive.terrain import get_family
 
 DIFFICULTY_PICTURES = "pictures/difficulty"

@@ -1,4 +1,4 @@
-"""The report: one self-contained page and a JSON file from the folders of runs."""
+"""The report: one self-contained page and a JSON file from runs and results."""
 
 import json
 from collections.abc import Sequence
@@ -10,24 +10,22 @@ from arrive.files import read_json, write_text
 from arrive.learning.rundir import commit
 from arrive.report.experiments import FILES, Results
 from arrive.report.page import make_page
-from arrive.report.records import Run, read_run
+from arrive.report.records import Run
 from arrive.report.table import make_relations, make_table
 
 PROTOCOLS = {"energy": "energy", "gait": "gait", "stability": "stability", "window": "time_window"}
 """What results call themselves."""
 
 
-def write_report(folders: Sequence[Path], out: Path, files: dict[str, Path | None] | None = None) -> tuple[Path, Path]:
+def write_report(runs: Sequence[Run], out: Path, files: dict[str, Path | None] | None = None) -> tuple[Path, Path]:
     """Write the page to `out` and its figures beside it as JSON; returns both paths.
 
     Args:
         files: results of `FILES`, by name; those that are None are read where their commands put them, if there.
 
     Raises:
-        ArriveError: a folder that holds no run, two runs of one name, a result that is none, or a file that cannot be
-            read or written.
+        ArriveError: two runs of one name, a result that is none, or a file that cannot be read or written.
     """
-    runs = [read_run(folder) for folder in folders]
     names = [run.name for run in runs]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:

@@ -42,8 +42,8 @@ class PositionConfig(TaskConfig):
     """Share of the targets that are drawn only beyond the terrain that is to be crossed, where they count for the
     curriculum. Without it many targets need no crossing: among pillars, a straight walk reaches two thirds of them."""
     nearest_share: Share = 0.0
-    """Share of those targets that are just beyond that terrain, so that robots also learn to stop there and to stand
-    with their hind feet near an edge."""
+    """Share of those targets that are just beyond the terrain to be crossed: robots must also learn to stop there and
+    to stand with their hind feet near an edge."""
     retarget_s: NotNegative = 0.0
     """Mean time after which a robot in training gets a new target and a new time for it within the same episode; 0 for
     never [s]."""
