@@ -114,7 +114,8 @@ def test_a_start_that_was_cut_off_can_be_begun_again(run, refused):
         (run / name).unlink()
     (run / ".checkpoint.pt.abc.tmp.pt").write_text("half")
     (run / LOCK_NAME).write_text(json.dumps({"pid": 1, "host": os.uname().nodename}))
-    assert f"no checkpoint.pt, because its start was interrupted; start it again with --out {run}" in refused(resume, run)
+    message = f"no checkpoint.pt, because its start was interrupted; start it again with --out {run}"
+    assert message in refused(resume, run)
     begin(run, 2)
     assert names(run) == WHOLE
     assert len(read_log(run)["iteration"]) == 2
