@@ -80,7 +80,13 @@ def joystick() -> Config:
         target_distance=(0.0, 5.0),
         retarget_s=1.0,
         stop_share=0.2,
-        rewards=replace(config.task.rewards, approach=Approach(), pace=Reward(2.0), pose_cost=Cost(-0.2)),
+        rewards=replace(
+            config.task.rewards,
+            approach=Approach(),
+            exploration=PAPER_REWARDS.exploration,
+            pace=Reward(2.0),
+            pose_cost=Cost(-0.2),
+        ),
     )
     return replace(
         config,
