@@ -41,3 +41,13 @@ def test_the_architecture_page_names_every_package_and_only_files_that_exist():
         for package, file in zip(packages, re.findall(r"`(\w+\.py)`", files), strict=True):
             assert (SOURCE / package / file).exists(), f"{package}/{file}"
     assert named == {path.parent.name for path in SOURCE.glob("*/__init__.py")}
+
+
+def test_files_of_this_checkout_that_pages_name_exist():
+    """All pages but the diary, which tells what there was."""
+    root = DOCS.parent
+    pages = [root / "README.md", root / "CONTRIBUTING.md", *root.glob("examples/*.md"), *DOCS.glob("*.md")]
+    path = re.compile(r"\b(?:tests|scripts|benchmarks|examples|src)/[\w/]+\.\w+")
+    named = {(page.name, name) for page in pages if page.stem != "diary" for name in path.findall(page.read_text())}
+    assert len(named) > 20
+    assert sorted((page, name) for page, name in named if not (root / name).is_file()) == []
