@@ -33,7 +33,7 @@ def test_a_link_that_leads_nowhere_is_an_error(tmp_path, link, complaint):
 
 
 def test_the_architecture_page_names_every_package_and_only_files_that_exist():
-    table = (DOCS / "architecture.md").read_text().split("## What each folder has")[1]
+    table = (DOCS / "architecture.md").read_text().split("## The folders")[1]
     named = set()
     for folders, _, files in re.findall(r"^\| (`.+?) \| (.+) \| (`.+`) \|$", table, re.MULTILINE):
         packages = re.findall(r"`(\w+)/`", folders)

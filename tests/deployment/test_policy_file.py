@@ -95,14 +95,14 @@ def test_evaluation_summary_travels_along(run, tmp_path):
         (edit("observation", lambda terms: terms[4].update(scale=1.0)), True, r"observation\[4\].scale"),
         (edit("observation", lambda terms: terms[4].update(stop=14)), True, "slice"),
         (edit("observation", lambda terms: terms.pop()), True, "has 236 observations"),
-        (edit("robot", lambda robot: robot.update(stiffness=90.0)), True, r"robot.stiffness is 90.0 there, 80.0 here"),
+        (edit("robot", lambda robot: robot.update(stiffness=90.0)), True, r"robot.stiffness is 90.0, not 80.0"),
         (edit("robot", lambda robot: robot["joint_names"].reverse()), True, r"robot.joint_names\[0\]"),
         (edit("robot", lambda robot: robot.pop("damping")), True, "damaged"),
         (edit("control", lambda control: control.update(period_s=0.01)), True, "control.period_s"),
         (edit("golden", lambda golden: golden["actions"][0].__setitem__(0, 9.0)), True, "golden actions differ"),
         (lambda model, text: text.pop(PREFIX + "task"), True, "lacks the metadata task"),
         (lambda model, text: text.update({PREFIX + "format": "99"}), True, "export format 99"),
-        (lambda model, text: text.clear(), True, "no policy of arrive"),
+        (lambda model, text: text.clear(), True, "not a policy of arrive: it has no metadata"),
     ],
 )
 def test_verify_refuses_what_was_changed(exported, tmp_path, change, sealed, message):
@@ -124,7 +124,7 @@ def test_every_weight_counts_even_one_too_small_for_the_golden_pairs(exported, t
 def test_corrupt_files_are_refused_in_one_line(exported, tmp_path, content, capsys):
     path = tmp_path / "bad.onnx"
     path.write_bytes(exported.read_bytes()[:5000] if content is None else content)
-    with pytest.raises(ArriveError, match=r"no policy of arrive: it is truncated, corrupt"):
+    with pytest.raises(ArriveError, match=r"not a policy of arrive: it is truncated, corrupt"):
         Controller.load(path)
     with pytest.raises(SystemExit):
         main(["verify", str(path)])
@@ -141,7 +141,7 @@ def test_every_flipped_bit_is_noticed(small, tmp_path):
         flipped = bytearray(content)
         flipped[place // 8] ^= 1 << place % 8
         path.write_bytes(flipped)
-        with pytest.raises(ArriveError, match=r"Export the policy again|no policy of arrive"):
+        with pytest.raises(ArriveError, match=r"Export the policy again|not a policy of arrive"):
             read_policy_file(path)
 
 
@@ -183,7 +183,7 @@ NAN, INFINITE = float("nan"), float("inf")
 HOSTILE = {
     "NaN limit": (put("robot", "joint_limits_rad", 0, [NAN, 0.5]), "NaN is not a number"),
     "infinite limit": (put("robot", "joint_limits_rad", 0, [-INFINITE, 0.5]), "Infinity is not a number"),
-    "huge limit": (put("robot", "joint_limits_rad", 0, [-1e300, 1e300]), "no radians"),
+    "huge limit": (put("robot", "joint_limits_rad", 0, [-1e300, 1e300]), "not in radians"),
     "reversed limits": (put("robot", "joint_limits_rad", 0, [0.5, -0.5]), "range of LF_HAA .* ascending"),
     "zero limits": (put("robot", "joint_limits_rad", 0, [0.0, 0.0]), "range of LF_HAA"),
     "limits in text": (put("robot", "joint_limits_rad", 0, ["-1", "1"]), "not a finite number"),
@@ -378,7 +378,7 @@ def test_labels_of_cells_may_be_rounded_but_not_moved(exported, tmp_path):
 
     verify(changed(exported, tmp_path, edit("observation", rounded), sealed=True))
     moved = put("observation", 8, "labels", 3, "(5.0, 5.0)")
-    with pytest.raises(ArriveError, match=r"observation\[8\].labels\[3\] is '\(5.0, 5.0\)' there"):
+    with pytest.raises(ArriveError, match=r"observation\[8\].labels\[3\] is '\(5.0, 5.0\)', not"):
         verify(changed(exported, tmp_path, moved, sealed=True))
 
 

@@ -112,7 +112,7 @@ def _sealed_body(path: Path, content: bytes) -> bytes:
     export = re.search(rb"arrive\.format\x12.(\d{1,9})", content)
     if not export:
         raise ArriveError(
-            f"{path} is no policy of arrive: it is truncated, corrupt, or was not written by `arrive export`"
+            f"{path} is not a policy of arrive: it is truncated, corrupt, or was not written by `arrive export`"
         )
     if PREFIX.encode() + SEAL.encode() not in content:
         raise ArriveError(
