@@ -204,7 +204,7 @@ class TestWorlds:
         template = build_template(ROBOT, worlds, ONE_STEP)
         with pytest.raises(ArriveError, match=r"worlds differ in actuator_\w+, which MuJoCo Warp cannot vary"):
             differing_fields(template, worlds, _batched_fields())
-        with pytest.raises(ArriveError, match="another option impratio"):
+        with pytest.raises(ArriveError, match="another value of option impratio"):
             WarpPhysics(ROBOT, [world("flat")], replace(ONE_STEP, impratio=3.0), 1, CPU)
 
     def test_robots_come_to_rest_on_the_ground_of_their_own_world(self):

@@ -1,1 +1,1 @@
-"""A person, or a file in place of one, drives the deployment controller on a simulated robot."""
+"""Driving the deployment controller on a simulated robot, with a gamepad or a script."""

@@ -1,4 +1,4 @@
-"""The deployment controller on a simulated robot: one control step at a time, and what happens after a fall."""
+"""The deployment controller on a simulated robot: single control steps, and the reset after a fall."""
 
 from dataclasses import dataclass
 
@@ -8,27 +8,27 @@ from arrive.simulation import SimulatedRobot
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one control step did."""
+    """Result of one control step."""
 
     command: JointCommand
     failure: str
-    """Why the robot cannot go on and must be put back, empty where it can go on."""
+    """Why the robot must be put back to the start; empty if it can continue."""
 
 
 class Driver:
     """A controller on a simulated robot.
 
-    A robot that crashes, falls or leaves the ground is put back to the start as it first stood there, and the
-    controller is given no goal for one step: it goes to its safe stance and recovers as it would on a robot.
+    A robot that crashes, falls or leaves the ground is put back to its start. The controller then gets no goal for one
+    step, so that it goes to its safe stance and recovers as on a real robot.
     """
 
     def __init__(self, robot: SimulatedRobot, controller: Controller):
-        """Both as they were made, at their start."""
+        """Use a new robot at its start, and a new controller."""
         self.robot, self.controller = robot, controller
         self.time_s = 0.0
-        """Simulated so far; unlike the robot's own clock it never goes back [s]."""
+        """Simulated time; unlike the robot's own clock it never goes back [s]."""
         self.falls = 0
-        """How often the robot was put back."""
+        """Number of times the robot was put back."""
         self._failed = False
 
     @property
@@ -48,12 +48,12 @@ class Driver:
         return Step(command, failure)
 
     def put_back(self) -> None:
-        """Stand a robot that failed at its start again."""
+        """Put a robot that failed back to its start."""
         self.falls += 1
         self.robot.reset()
 
     def restart(self, robot: SimulatedRobot | None = None, controller: Controller | None = None) -> None:
-        """Begin again at the start, with another robot or controller if given; time and falls go on counting."""
+        """Start again, with another robot or controller if given. Time and falls are kept."""
         self.robot, self.controller = robot or self.robot, controller or self.controller
         self.robot.reset()
         self.controller.reset()
@@ -61,7 +61,7 @@ class Driver:
 
 
 def failure_of(robot: SimulatedRobot) -> str:
-    """Why a robot cannot go on, empty where it can."""
+    """Why a robot cannot continue; empty if it can."""
     if robot.fell:
         return "fell into a hole"
     if robot.crashed:

@@ -8,20 +8,20 @@ from arrive.deployment import Joystick
 from arrive.errors import ArriveError
 
 TURN_RAD_S = 1.5
-"""The right stick turns the operator's heading at up to this rate [rad/s]."""
+"""Largest rate at which the right stick turns the operator's heading [rad/s]."""
 FULL = 32767.0
-"""SDL's number for a stick at its end."""
+"""SDL's value for a stick at its end."""
 
 
 class Gamepad:
-    """Left stick: where to walk. Right stick: turns the heading that forward means. A (south): forward is the robot's.
+    """Left stick: direction and speed. Right stick: turns the forward direction. A (south): forward = robot's heading.
 
-    A policy may prefer one walking direction and turn into it, so forward is a heading in the world that only the
-    operator turns. It starts as the robot's.
+    A policy may prefer one walking direction and turn into it. The forward direction is therefore a heading in the
+    world that only the operator turns. It starts as the robot's heading.
     """
 
     def __init__(self) -> None:
-        """Open the first gamepad that SDL knows the layout of.
+        """Open the first gamepad whose layout SDL knows.
 
         Raises:
             ArriveError: pygame is missing, or there is no such gamepad; the message lists what was found.
@@ -39,7 +39,7 @@ class Gamepad:
             self.close()
             raise ArriveError(
                 f"no gamepad: {f'SDL knows no layout for {names}' if names else 'no game controller was found'}. "
-                "Connect one, or drive by a file with --script FILE.csv"
+                "Connect one, or drive with --script FILE.csv"
             )
         self._pad = controller.Controller(known[0])
         self.name = self._pad.name
@@ -47,14 +47,14 @@ class Gamepad:
         self._last_s = 0.0
 
     def stick(self, time_s: float, yaw: float) -> Joystick:
-        """What the operator asks for now.
+        """The operator's current command.
 
         Args:
-            time_s: on any clock that never goes back [s].
+            time_s: time on any clock that never goes back [s].
             yaw: the robot's heading [rad].
 
         Raises:
-            ArriveError: the gamepad is gone.
+            ArriveError: the gamepad was disconnected.
         """
         pygame, pad = self._pygame, self._pad
         pygame.event.pump()
@@ -71,11 +71,11 @@ class Gamepad:
         return Joystick(forward, left, self._heading)
 
     def close(self) -> None:
-        """Give the device back."""
+        """Release the device."""
         self._pygame.quit()
 
     def _axis(self, axis: int) -> float:
-        """-1 to 1; the right stick's small offsets at rest count as none."""
+        """Position of an axis, -1 to 1. Small offsets of the right stick at rest are ignored."""
         value = max(-1.0, self._pad.get_axis(axis) / FULL)
         at_rest = axis == self._pygame.CONTROLLER_AXIS_RIGHTX and abs(value) < 0.1
         return 0.0 if at_rest else value
@@ -89,7 +89,5 @@ def _pygame() -> ModuleType:
     try:
         import pygame
     except ImportError as error:
-        raise ArriveError(
-            "a gamepad needs pygame: pip install pygame. Or drive by a file with --script FILE.csv"
-        ) from error
+        raise ArriveError("a gamepad needs pygame: pip install pygame. Or drive with --script FILE.csv") from error
     return pygame

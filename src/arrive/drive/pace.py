@@ -1,13 +1,13 @@
-"""How fast simulated time runs beside the clock on the wall."""
+"""Runs simulated time in step with real time."""
 
 import math
 
 LARGEST_DELAY_S = 0.2
-"""Simulated time that is caught up with at once; what is later than that is dropped, and the robot lags [s]."""
+"""Largest delay that is caught up. Any delay beyond it is dropped [s]."""
 
 
 class Pace:
-    """Says how many control steps are due, in real time or slower."""
+    """Computes how many control steps are due, in real time or slower."""
 
     def __init__(self, period_s: float):
         """Start in real time, at the first call of `steps_due`.
@@ -16,23 +16,23 @@ class Pace:
             period_s: simulated time of a control step [s].
         """
         self.factor = 1.0
-        """Simulated per real time: 1 is real time, 0 stands still."""
+        """Ratio of simulated to real time: 1 is real time, 0 is paused."""
         self._period_s, self._due_s = period_s, 0.0
         self._last_s: float | None = None
         self.asked_s = 0.0
-        """Simulated time that was asked for so far [s]."""
+        """Simulated time that was due so far [s]."""
         self.dropped_s = 0.0
-        """How much of it could not be kept up with [s]."""
+        """Part of it that was dropped [s]."""
 
     @property
     def next_s(self) -> float:
-        """When the next step is due on the clock on the wall, if time runs on as it does [s]."""
+        """Real time at which the next step is due, at the current factor [s]."""
         if self._last_s is None or self.factor == 0.0:
             return math.inf
         return self._last_s + (self._period_s - self._due_s) / self.factor
 
     def steps_due(self, now_s: float) -> int:
-        """Control steps to simulate now, given the clock on the wall [s]."""
+        """Number of control steps to simulate now, given the real time [s]."""
         asked_s = self.factor * (now_s - (now_s if self._last_s is None else self._last_s))
         self.asked_s += asked_s
         self._due_s += asked_s

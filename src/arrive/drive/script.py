@@ -1,4 +1,4 @@
-"""Sticks written down beforehand, in place of a gamepad."""
+"""Scripts of stick positions, used instead of a gamepad."""
 
 import csv
 import io
@@ -15,40 +15,40 @@ from arrive.files import read_text
 
 COLUMNS = ("time_s", "forward", "left", "heading_rad")
 HOLD_S = (0.3, 2.0)
-"""A random script holds each stick this long, uniform [s]."""
+"""Range of the time for which a random script holds each stick position, uniform [s]."""
 
 
 @dataclass(frozen=True)
 class Script:
-    """Each stick holds from its time to the next one's."""
+    """Stick positions. Each one applies from its time to that of the next."""
 
     times_s: tuple[float, ...]
-    """Ascending, from 0 on."""
+    """Times in ascending order, not negative [s]."""
     sticks: tuple[Joystick, ...]
 
     @property
     def end_s(self) -> float:
-        """When the last stick begins [s]."""
+        """Time of the last stick position [s]."""
         return self.times_s[-1]
 
     def stick(self, time_s: float, yaw: float) -> Joystick:
-        """The stick at a time; before the first it is in its middle."""
-        # A microsecond of tolerance, so that sums of control steps meet the times that were written.
+        """The stick position at a time; centred before the first one."""
+        # A microsecond of tolerance, because times are sums of control steps.
         index = bisect_right(self.times_s, time_s + 1e-6) - 1
         return self.sticks[index] if index >= 0 else Joystick(0.0, 0.0)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no device is open."""
 
 
 def read_script(path: Path) -> Script:
     """Read a CSV file with the columns `time_s`, `forward`, `left` and `heading_rad`.
 
-    `forward` and `left` are -1 to 1; `heading_rad` is the heading in the world that forward means, empty for the
+    `forward` and `left` are -1 to 1. `heading_rad` is the heading in the world to which forward refers, empty for the
     robot's own. The last row ends the drive.
 
     Raises:
-        ArriveError: missing, without these columns, or a row that is not numbers in ascending time.
+        ArriveError: the file or a column is missing, a value is not a number, or times are not ascending.
     """
     text = read_text(path)
     try:
@@ -59,7 +59,7 @@ def read_script(path: Path) -> Script:
     if columns != COLUMNS:
         raise ArriveError(f"{path} must begin with the line {','.join(COLUMNS)}, not {','.join(columns)!r}")
     if not rows:
-        raise ArriveError(f"{path} has no sticks: write a line per change, such as 0,1,0,")
+        raise ArriveError(f"{path} has no stick positions: write one line per change, such as 0,1,0,")
     times, sticks = [], []
     for number, row in enumerate(rows, start=2):
         values = [_number(path, number, row[name]) for name in COLUMNS[:3]]
@@ -82,9 +82,9 @@ def _number(path: Path, line: int, text: str | None) -> float:
 
 
 def random_script(seed: int, seconds: float) -> Script:
-    """Sticks uniform in direction and magnitude (of which a tenth falls into the dead zone), held for `HOLD_S`.
+    """Stick positions uniform in direction and magnitude (a tenth of them in the dead zone), held for `HOLD_S`.
 
-    They refer to the world's x axis.
+    Forward is the world's x axis.
     """
     rng = np.random.default_rng(seed)
     times, sticks, time_s = [], [], 0.0

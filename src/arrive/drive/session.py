@@ -1,4 +1,4 @@
-"""The drive: sticks in, one control step at a time, and what came of it."""
+"""A drive: control steps with stick commands, and their results."""
 
 import math
 import time
@@ -15,13 +15,13 @@ from arrive.drive.pace import Pace
 
 
 class Controls(Protocol):
-    """A gamepad or a file."""
+    """A gamepad or a script."""
 
     def stick(self, time_s: float, yaw: float) -> Joystick:
         """The stick at a time of the drive [s], given the robot's heading [rad]."""
 
     def close(self) -> None:
-        """Give devices back."""
+        """Release devices."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,15 @@ class Moment:
 
     time_s: float
     commanded_speed: float
-    """Distance over remaining time of the pseudo target; 0 where the robot is to stop [m/s]."""
+    """Distance over time left of the pseudo target; 0 if the command is to stop [m/s]."""
     commanded_angle: float
-    """Direction in the world, of no meaning where the robot is to stop [rad]."""
+    """Direction in the world; without meaning if the command is to stop [rad]."""
     velocity_w: np.ndarray
     """(2,) horizontal velocity of the base in the world [m/s]."""
     yaw: float
     """Heading [rad]."""
     mode: str
-    """Of the controller."""
+    """Mode of the controller."""
     fell: bool
     """Whether the robot crashed, fell or left the ground in this step, and was put back to the start."""
 
@@ -50,7 +50,7 @@ class Moment:
 
 @dataclass
 class Tally:
-    """A drive so far."""
+    """Totals of a drive so far."""
 
     time_s: float = 0.0
     falls: int = 0
@@ -59,12 +59,12 @@ class Tally:
     commanded_m: float = 0.0
     """Integral of the commanded speed over that time [m]."""
     along_m: float = 0.0
-    """Way made in the commanded directions over that time [m]."""
+    """Distance walked along the commanded directions in that time [m]."""
     late_s: float = 0.0
-    """Real time that was lost because steps took too long [s]."""
+    """Real time lost because steps took too long [s]."""
 
     def add(self, moment: Moment, dt: float) -> None:
-        """Take in a step of `dt` [s]."""
+        """Add a step of `dt` [s]."""
         self.time_s, self.falls = moment.time_s, self.falls + moment.fell
         if moment.mode == "joystick":
             self.driven_s += dt
@@ -73,7 +73,7 @@ class Tally:
 
 
 def advance(driver: Driver, stick: Joystick) -> Moment:
-    """One control step by a stick; a robot that fails in it is put back."""
+    """Make one control step with a stick command. A robot that fails is put back to the start."""
     yaw = driver.robot.yaw
     step = driver.step(stick)
     heading = yaw if stick.heading_rad is None else stick.heading_rad
@@ -100,12 +100,12 @@ def run(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Tally:
-    """Drive for a while; Ctrl-C ends it early.
+    """Drive for some time. Ctrl-C ends it early.
 
     Args:
-        seconds: may be infinite [s].
-        report: told every step.
-        real_time: a control step whenever one is due by the clock, or as fast as the machine can.
+        seconds: duration, may be infinite [s].
+        report: called after every step.
+        real_time: run in real time instead of as fast as the machine can.
 
     Raises:
         ArriveError: the gamepad was disconnected.

@@ -1,4 +1,4 @@
-"""The line that a driver reads."""
+"""The status line of `arrive drive`."""
 
 import math
 import sys
@@ -6,13 +6,13 @@ import sys
 from arrive.drive.session import Moment, Tally
 
 LIVE_S, PLAIN_S = 0.1, 5.0
-"""Simulated time between lines, on a terminal where they replace each other and in a file [s]."""
+"""Simulated time between lines: on a terminal, where each line replaces the last one, and in a file [s]."""
 ARROWS = "↑↖←↙↓↘→↗"
 """Directions relative to the heading, counter-clockwise from straight ahead."""
 
 
 class StatusLine:
-    """Prints how the drive goes, now and then."""
+    """Prints the state of a drive at intervals."""
 
     def __init__(self) -> None:
         """Write to standard output."""
@@ -20,20 +20,20 @@ class StatusLine:
         self._next_s = 0.0
 
     def report(self, moment: Moment, tally: Tally) -> None:
-        """Take in a step, and print it if it is time."""
+        """Add a step, and print it if it is time."""
         if moment.time_s < self._next_s and not moment.fell:
             return
         self._next_s = moment.time_s + (LIVE_S if self._live else PLAIN_S)
         print(("\r\x1b[K" if self._live else "") + describe(moment, tally), end="" if self._live else "\n", flush=True)
 
     def close(self) -> None:
-        """Leave the last line standing."""
+        """Keep the last line on the terminal."""
         if self._live:
             print()
 
 
 def describe(moment: Moment, tally: Tally) -> str:
-    """One step in a line; the arrow shows the commanded direction as the robot sees it."""
+    """One step as a line. The arrow shows the commanded direction relative to the robot's heading."""
     asked = "stop"
     if moment.commanded_speed:
         relative = moment.commanded_angle - moment.yaw
@@ -45,11 +45,11 @@ def describe(moment: Moment, tally: Tally) -> str:
 
 
 def summarise(tally: Tally) -> str:
-    """The whole drive in a line."""
+    """The whole drive as a line."""
     words = f"{tally.time_s:.1f} s, {tally.falls} falls"
     if tally.driven_s:
         asked, along = tally.commanded_m / tally.driven_s, tally.along_m / tally.driven_s
-        words += f"; asked for {asked:.2f} m/s on average, {along:.2f} m/s achieved along it"
+        words += f"; commanded {asked:.2f} m/s on average, achieved {along:.2f} m/s along the command"
     if tally.late_s:
         words += f"; the machine was too slow for real time and lost {tally.late_s:.1f} s"
     return words

@@ -16,7 +16,7 @@ from arrive.robots.robot import Robot
 
 
 class CpuPhysics:
-    """`Physics` by `mujoco.batch`: bit-identical at any number of threads."""
+    """`Physics` with `mujoco.batch`. Results are bit-identical at any number of threads."""
 
     def __init__(
         self,
@@ -30,10 +30,10 @@ class CpuPhysics:
         """Build the batch with every environment in the first world.
 
         Args:
-            worlds: compiled models of one layout.
+            worlds: compiled models with the same layout.
             decimation: physics steps per policy step.
             threads: physics threads; 0 takes one per CPU.
-            motors: what gives the torques of worlds that were compiled with `physics.motor=network`.
+            motors: computes the torques of worlds that were compiled with `physics.motor=network`.
         """
         silence_mujoco()
         self.num_envs = num_envs
@@ -54,11 +54,11 @@ class CpuPhysics:
 
     @property
     def world_of_env(self) -> np.ndarray:
-        """(num_envs,) index of the world each environment is in."""
+        """(num_envs,) index of each environment's world."""
         return self._world_of_env
 
     def model_of_env(self, env_id: int) -> mujoco.MjModel:
-        """The compiled world an environment is in."""
+        """The compiled world of an environment."""
         return self._worlds[self._world_of_env[env_id]]
 
     def place(self, env_ids: Tensor, world_ids: Tensor) -> None:
@@ -95,7 +95,7 @@ class CpuPhysics:
             self._advance(ids, self._motors.torque(targets, joint_pos, joint_vel), 1)
 
     def _advance(self, ids: np.ndarray | None, ctrl: np.ndarray, steps: int) -> None:
-        """Some physics steps with the same (num_envs, joints) targets or torques."""
+        """Make some physics steps with the same (num_envs, joints) targets or torques."""
         self._state["ctrl"][:] = ctrl
         try:
             self._batch.step(ids, nstep=steps)
@@ -120,7 +120,7 @@ class CpuPhysics:
             crash_contacts=sensors[:, layout.crash_contacts].sum(-1),
             collision_contacts=(sensors[:, layout.collision_contacts] > 0).float().sum(-1),
             foot_contacts=sensors[:, layout.foot_contacts],
-            # A NaN compares false, so it fails the bound too.
+            # NaN fails the bound too, because comparisons with NaN are false.
             finite=(speed < MAX_SPEED) & qpos.isfinite().all(-1) & ~torch.from_numpy(self._failed[rows].copy()),
         )
 

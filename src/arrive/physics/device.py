@@ -1,4 +1,4 @@
-"""Which device a run uses, and with it which physics engine."""
+"""Choice of the device of a run, and of its physics engine."""
 
 import importlib.util
 import os
@@ -20,7 +20,7 @@ INSTALL_WARP = "pip install 'warp-lang>=1.19' 'absl-py>=2', then pip install --n
 
 
 def why_no_gpu() -> str:
-    """What keeps this process from training on a GPU and what to do about it; empty where nothing does."""
+    """Why this process cannot train on a GPU, and what to do about it; empty if it can."""
     if torch.version.cuda is None:
         return "this torch is built without CUDA: install one with it, see pytorch.org/get-started"
     if not torch.cuda.is_available():
@@ -36,7 +36,7 @@ def has_warp() -> bool:
 
 
 def choose_device(wish: DeviceWish) -> torch.device:
-    """The device to use; with several processes on a machine each takes the GPU of its local rank.
+    """The device to use. With several processes on a machine, each one takes the GPU of its local rank.
 
     Raises:
         ArriveError: `cuda` without a usable GPU.
@@ -56,12 +56,12 @@ def choose_device(wish: DeviceWish) -> torch.device:
 
 
 def engine_for(engine: str, device: torch.device) -> str:
-    """The engine that `physics.engine` means on a device."""
+    """The engine that `physics.engine` selects on a device."""
     return engine if engine != "auto" else {"cpu": "mujoco", "cuda": "warp"}[device.type]
 
 
 def describe_device(device: torch.device, wish: DeviceWish, threads: int, engine: str = "auto") -> str:
-    """One line that says what was chosen and why.
+    """One line about the chosen device and the reason.
 
     Args:
         engine: `physics.engine` of the configuration.
@@ -82,13 +82,13 @@ def make_physics(
     device: torch.device,
     network: ActuatorNetwork | None = None,
 ) -> Physics:
-    """The engine that the configuration names, or that belongs to the device.
+    """Build the engine that the configuration names, or the one for the device.
 
     Args:
-        network: of `physics.motor=network`, see `motor_network`.
+        network: actuator network of `physics.motor=network`, see `motor_network`.
 
     Raises:
-        ArriveError: MuJoCo's own batch asked for on a GPU, or MuJoCo Warp where it is not installed.
+        ArriveError: the configuration asks for MuJoCo's batch on a GPU, or MuJoCo Warp is not installed.
     """
     if engine_for(config.engine, device) == "mujoco":
         if device.type != "cpu":

@@ -1,4 +1,4 @@
-"""When a simulation has left what physics can mean, and how MuJoCo is kept quiet about it."""
+"""The bound for diverged simulations, and silencing MuJoCo's warnings about them."""
 
 import ctypes
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 import mujoco
 
 MAX_SPEED = 300.0
-"""Base or joint speed beyond which a simulation counts as diverged [m/s, rad/s]."""
+"""A simulation whose base or joint speed exceeds this has diverged [m/s, rad/s]."""
 
 
 def silence_mujoco() -> None:
-    """Keep MuJoCo from writing a log file and the terminal full when a simulation diverges; `read` reports it.
+    """Keep MuJoCo from filling a log file and the terminal when a simulation diverges. `read` reports it instead.
 
-    Its warning handler must be a C function, for worker threads call it without Python's lock; strlen takes the same
-    argument and does nothing.
+    The warning handler must be a C function, because worker threads call it without Python's lock. strlen takes the
+    same argument and has no effect.
     """
     library = ctypes.CDLL(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
     handler = ctypes.c_void_p.in_dll(library, "mju_user_warning")

@@ -1,4 +1,4 @@
-"""What an environment asks of a physics engine."""
+"""The interface between environment and physics engines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STATE_FIELDS = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")
 
 @dataclass(frozen=True)
 class Readings:
-    """The robots after a policy step; positions and velocities are current, the rest is one physics step older.
+    """The robots after a policy step. Positions and velocities are current, and the rest is one physics step older.
 
     All float32 on the engine's device. Quaternions are (w, x, y, z).
     """
@@ -23,7 +23,7 @@ class Readings:
     base_pos_w: Tensor
     """(num_envs, 3) [m]."""
     base_quat_w: Tensor
-    """(num_envs, 4), rotates base into world."""
+    """(num_envs, 4), rotates from base to world."""
     base_lin_vel_w: Tensor
     """(num_envs, 3) [m/s]."""
     base_ang_vel_b: Tensor
@@ -37,17 +37,17 @@ class Readings:
     foot_vel_w: Tensor
     """(num_envs, num_feet, 3) [m/s]."""
     crash_contacts: Tensor
-    """(num_envs,) contacts of the crash bodies."""
+    """(num_envs,) number of contacts of the crash bodies."""
     collision_contacts: Tensor
-    """(num_envs,) collision bodies in contact, the paper's N_c."""
+    """(num_envs,) number of collision bodies in contact, the paper's N_c."""
     foot_contacts: Tensor
-    """(num_envs, num_feet) contacts of each foot."""
+    """(num_envs, num_feet) number of contacts of each foot."""
     finite: Tensor
-    """(num_envs,) whether the simulation's state is finite and it did not diverge."""
+    """(num_envs,) bool: the simulation did not diverge."""
 
 
 class Physics(Protocol):
-    """Many robots, each in a small world of its own that is chosen from a fixed list of compiled ones."""
+    """Many robots, each in its own small world, which is chosen from a fixed list of compiled worlds."""
 
     num_envs: int
     device: torch.device
@@ -56,22 +56,22 @@ class Physics(Protocol):
         """Move environments to worlds, by index into the list of compiled worlds."""
 
     def reset(self, env_ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
-        """Put robots into states: qpos (n, nq) and qvel (n, nv) in MuJoCo's order [m, rad, m/s, rad/s]."""
+        """Set robots' states: qpos (n, nq) and qvel (n, nv) in MuJoCo's order [m, rad, m/s, rad/s]."""
 
     def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
         """Add (n, 3) world-frame velocity to the bases [m/s]."""
 
     def retire(self, env_ids: Tensor) -> None:
-        """Leave environments out of every further step, where an evaluation has seen what it wanted."""
+        """Stop simulating these environments, because an evaluation does not need them any more."""
 
     def step(self, joint_targets: Tensor) -> None:
         """Advance one policy step with (num_envs, num_joints) joint targets [rad]."""
 
     def read(self, env_ids: Tensor | None = None) -> Readings:
-        """The robots as they are now: all, or (n,) these in this order."""
+        """The current state of all robots, or of (n,) these in this order."""
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything needed to go on exactly from here."""
+        """Everything that an exact resume needs."""
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on exactly from a `state_dict`."""
+        """Resume exactly from a `state_dict`."""

@@ -1,4 +1,4 @@
-"""The motors that are computed outside MuJoCo, as the configuration names them."""
+"""Motors that are computed outside MuJoCo."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def motor_network(config: PhysicsConfig) -> ActuatorNetwork | None:
 def network_motors(
     config: PhysicsConfig, robot: Robot, num_envs: int, network: ActuatorNetwork | None
 ) -> NetworkMotors | None:
-    """The motors of this many robots in NumPy; None for motors inside MuJoCo."""
+    """The motors of `num_envs` robots in NumPy; None for motors inside MuJoCo."""
     assert (network is not None) == (config.motor == "network"), "targets would be taken for torques"
     if network is None:
         return None

@@ -13,46 +13,46 @@ from arrive.fields import Count, NotNegative, Positive, Range, Rule, check
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
 LEAST_TIME_STEPS = 2
-"""Physics steps below which MuJoCo raises the time constant of a contact or a joint limit without saying so."""
+"""Smallest time constant of a contact or a joint limit, in physics steps. MuJoCo silently raises smaller ones."""
 
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """How MuJoCo is stepped; the defaults are legged_gym's rates with solver settings checked by an accuracy test."""
+    """Settings of MuJoCo's step. Defaults are legged_gym's rates, with solver settings checked by an accuracy test."""
 
     timestep_s: Positive = 0.005
     """Physics step [s]."""
     decimation: Count = 4
     """Physics steps per policy step."""
     engine: Literal["auto", "mujoco", "warp"] = "auto"
-    """`mujoco` on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` takes the one that suits the device."""
+    """`mujoco` runs on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` chooses by the device."""
     motor: MotorKind = "dc"
-    """`dc`: PD with the affine torque-speed limit of the paper; `ideal`: PD with the effort limit alone; `network`: an
-    actuator network, which `motor_file` names."""
+    """`dc`: PD with the paper's affine torque-speed limit; `ideal`: PD with the effort limit only; `network`: the
+    actuator network in `motor_file`."""
     motor_file: str = ""
     """Actuator network of `motor=network`: a file written by `arrive actuator fit`."""
     motor_clip: MotorClip = "affine"
-    """What cuts the torque of `motor=network`: the paper's `affine` torque-speed limit, the `constant` effort limit, or
-    `none`."""
+    """Clipping of the torque of `motor=network`: the paper's `affine` torque-speed limit, the `constant` effort limit,
+    or `none`."""
     leg_contacts: bool = True
-    """Whether the robot's legs collide with each other; `false`, for comparison, lets them pass through each other."""
+    """Whether the robot's legs collide with each other. `false` lets them pass through each other, for comparison."""
     solver_iterations: Count = 15
-    """Upper bound on Newton iterations of the contact solver."""
+    """Largest number of Newton iterations of the contact solver."""
     line_search_iterations: Count = 40
-    """Upper bound on line-search iterations of the contact solver; with 10 it stops at steps that throw the robot."""
+    """Largest number of line-search iterations of the contact solver. With 10, bad solutions throw the robot."""
     solver_tolerance: NotNegative = 1e-5
-    """Newton stops when the scaled improvement falls below this."""
+    """Newton iterations stop when the scaled improvement falls below this."""
     cone: Literal["pyramidal", "elliptic"] = "pyramidal"
-    """Friction cone. `pyramidal`, MuJoCo's default, is a quarter faster and holds only 71 % of the friction along the
-    diagonals of the world's axes; `elliptic` holds all of it in every direction."""
+    """Friction cone. `pyramidal`, MuJoCo's default, is a quarter faster but has only 71 % of the friction along the
+    diagonals of the world's axes. `elliptic` has the full friction in every direction."""
     impratio: Positive = 20.0
-    """Stiffness of friction relative to the contact normal; at MuJoCo's 1 the feet of a standing robot creep apart."""
+    """Ratio of friction stiffness to normal stiffness. With MuJoCo's default 1, a standing robot's feet creep apart."""
     contact_time_s: Positive = 0.01
-    """Time constant of contacts, at least two physics steps, for MuJoCo takes no shorter one [s]."""
+    """Time constant of contacts, at least two physics steps, because MuJoCo raises smaller ones [s]."""
     contact_impedance: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.97
-    """How hard contacts are, 0 to 1: the softer, the faster a standing robot's feet creep."""
+    """Hardness of contacts, 0 to 1. With softer contacts a standing robot's feet creep faster."""
     max_contacts: Count = 64
-    """Contacts per robot for which MuJoCo Warp makes room; the CPU engine needs no bound."""
+    """Room for contacts per robot in MuJoCo Warp. The CPU engine needs no limit."""
 
     def __post_init__(self):
         if (self.motor == "network") != bool(self.motor_file):
@@ -64,7 +64,7 @@ class PhysicsConfig:
             raise ArriveError(f"physics.motor_clip is for physics.motor=network, not for {self.motor!r}")
 
     def rules(self) -> tuple[Rule, ...]:
-        """What fields must be because of others."""
+        """Conditions between fields."""
         least = LEAST_TIME_STEPS * self.timestep_s
         must = f"at least {LEAST_TIME_STEPS} physics steps, {least:.6g} s, for MuJoCo takes no shorter time"
         return (Rule("contact_time_s", must, self.contact_time_s >= least * (1.0 - 1e-9)),)
@@ -78,12 +78,12 @@ class PhysicsConfig:
 def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     """Write the solver settings into a spec.
 
-    The Jacobian stays dense: a robot has few degrees of freedom (ANYmal C: 18), and MuJoCo 4.0.0 factorises wrongly
-    where the constraint Jacobian is sparse. Searching for islands is left out: a robot is one. A diverged simulation is
-    not silently put back to its start: the environment must see it.
+    The Jacobian stays dense: a robot has few degrees of freedom (ANYmal C: 18), and MuJoCo 4.0.0 factorises sparse
+    constraint Jacobians wrongly. The search for islands is switched off, because a robot is a single island. MuJoCo's
+    automatic reset is switched off, so that the environment sees diverged simulations.
 
     Raises:
-        ArriveError: a setting is out of its range, or MuJoCo would silently raise the time constant of a joint's limit.
+        ArriveError: a setting is out of range, or MuJoCo would silently raise the time constant of a joint limit.
     """
     check(config)
     option = spec.option

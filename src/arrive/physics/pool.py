@@ -1,4 +1,4 @@
-"""All tiles and worlds of a run, built once: environments only ever choose among them."""
+"""All tiles and worlds of a run. They are built once, and environments choose among them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from arrive.terrain.rasters import Rasters, stack_rasters
 
 @dataclass(frozen=True)
 class TileSet:
-    """What tiles a run has."""
+    """The tiles of a run."""
 
     families: tuple[Family, ...]
     values: tuple[tuple[float, ...], ...]
@@ -32,7 +32,7 @@ class TileSet:
 
 @dataclass(frozen=True)
 class Spread:
-    """What differs between worlds of one tile: dealt to worlds, because a robot draws a new one at each reset."""
+    """Differences between worlds. They belong to worlds, because a robot gets a random world at each reset."""
 
     friction: tuple[float, float]
     """Sliding friction of every contact, uniform."""
@@ -46,15 +46,15 @@ class WorldPool:
 
     families: tuple[Family, ...]
     values: tuple[tuple[float, ...], ...]
-    """Physical parameter of each level of each family; a family without one has a single level."""
+    """Physical parameter of each level of each family. A family without one has a single level."""
     worlds: tuple[mujoco.MjModel, ...]
     world_index: Tensor
-    """(families, levels, variants) index into `worlds`; levels a family lacks repeat its last one."""
+    """(families, levels, variants) index into `worlds`; missing levels of a family repeat its last one."""
     tile_of_world: Tensor
     """(worlds,) index into the rasters."""
     rasters: Rasters
     tiles: tuple[Tile, ...]
-    """The tiles themselves; their rasters are views of `rasters`."""
+    """The tiles. Their rasters are views of `rasters`."""
 
     @property
     def num_levels(self) -> tuple[int, ...]:
@@ -62,7 +62,7 @@ class WorldPool:
         return tuple(len(values) for values in self.values)
 
     def to(self, device: torch.device) -> "WorldPool":
-        """The pool with what the environment looks up on a device; worlds and tiles stay in the CPU's memory."""
+        """The pool with its lookup tables on a device. Worlds and tiles stay in the CPU's memory."""
         return replace(
             self,
             rasters=self.rasters.to(device),
@@ -82,7 +82,7 @@ def build_pool(
     """Build every tile and compile every world of a run.
 
     Args:
-        progress: told worlds compiled so far and their number.
+        progress: called with the number of worlds compiled so far and their total.
     """
     rng = np.random.default_rng(seed)
     tiles: list[Tile] = []

@@ -8,11 +8,11 @@ from arrive.terrain.tile import MAX_GEOMS, HeightField, Tile
 
 GREY = (0.62, 0.62, 0.60)
 PARKED_Z = -100.0
-"""Where unused geoms are [m]."""
+"""Height of unused geoms [m]."""
 FIELD_NAME = "terrain"
 PAVING = "paving"
 PLATE_M = 0.5
-"""Edge of the plates that show motion in pictures [m]."""
+"""Edge of the ground plates that make motion visible in pictures [m]."""
 FIELD_BASE = 1.0
 """Thickness of a height field below its lowest point [m]."""
 
@@ -20,12 +20,12 @@ FIELD_BASE = 1.0
 def add_tile(spec: mujoco.MjSpec, tile: Tile) -> None:
     """Add a tile to the world body as exactly `MAX_GEOMS` geoms called terrain_0, terrain_1, ...
 
-    Boxes come first and unused ones are parked far below, so that every model has the same number of geoms (which
-    `Batch.set_models` requires); a height field takes the last place. They collide only with geoms whose contype
+    Boxes come first, and a height field takes the last place. Unused geoms are placed far below, so that every model
+    has the same number of geoms, which `Batch.set_models` requires. Terrain geoms collide only with geoms whose contype
     has bit 0, and are in group 0.
 
     Raises:
-        ArriveError: the tile has more shapes than that.
+        ArriveError: the tile has too many shapes.
     """
     num_boxes = MAX_GEOMS - (tile.height_field is not None)
     if len(tile.boxes) > num_boxes:
@@ -43,7 +43,7 @@ def add_tile(spec: mujoco.MjSpec, tile: Tile) -> None:
 
 
 def pave(spec: mujoco.MjSpec) -> None:
-    """Give the ground plates with joints, for pictures; the colours stay."""
+    """Draw plates with joints on the ground, for pictures. The colours stay."""
     spec.add_texture(
         name=PAVING,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -62,7 +62,7 @@ def pave(spec: mujoco.MjSpec) -> None:
 
 
 def _add_geom(spec: mujoco.MjSpec, tile: Tile, place: int, colour: int | None = None) -> mujoco.MjsGeom:
-    """A terrain geom without a shape yet, in the palette's colour of that index (default: its place)."""
+    """Add a terrain geom without a shape, in the palette's colour of that index (default: its place)."""
     index = place if colour is None else colour
     rgb = tile.palette[index] if index < len(tile.palette) else GREY
     return spec.worldbody.add_geom(
@@ -71,9 +71,9 @@ def _add_geom(spec: mujoco.MjSpec, tile: Tile, place: int, colour: int | None = 
 
 
 def _add_height_field(spec: mujoco.MjSpec, tile: Tile, field: HeightField) -> None:
-    """The height field in the last place, in the palette's colour after the boxes.
+    """Add the height field in the last place, in the palette's colour after the boxes.
 
-    MuJoCo scales the data to 0..1 and multiplies it by `size[2]`; its rows run along y.
+    MuJoCo scales the data to 0..1 and multiplies it by `size[2]`. Its rows run along y.
     """
     lowest = float(field.heights.min())
     spread = float(np.ptp(field.heights))

@@ -1,7 +1,7 @@
-"""One model that can stand for every world: the shared layout, and a table of what differs between worlds.
+"""One model for all worlds: a template with their common layout, and a table of the fields in which they differ.
 
-A GPU steps all robots with a single model whose fields may have one value per robot. Worlds differ in their terrain
-geoms, friction and payload; a height field takes a geom of its own there, because the type of a geom cannot differ.
+A GPU steps all robots with a single model whose fields may have one value per robot. Worlds differ in terrain geoms,
+friction and payload. A height field gets its own geom, because the type of a geom cannot differ between robots.
 """
 
 from collections.abc import Collection, Sequence
@@ -18,7 +18,7 @@ from arrive.terrain.rasterise import assemble
 from arrive.terrain.tile import MAX_GEOMS
 
 FIELD_BASE = 0.1
-"""Thickness of height fields below their lowest point [m]; float32 fails more often on the tall prisms of 1 m."""
+"""Thickness of height fields below their lowest point [m]. With 1 m, float32 collision fails more often."""
 NOT_COMPARED = (
     "bvh_",  # MuJoCo's own search trees; the GPU engine has another broad phase
     "name",
@@ -30,13 +30,13 @@ NOT_COMPARED = (
     "geom_sameframe",  # a short-cut of MuJoCo's kinematics
     "dof_M0",  # read by MuJoCo's compiler alone
 )
-"""Beginnings of field names that describe no physics of the template."""
+"""Prefixes of fields that do not affect the template's physics."""
 
 
 def build_template(robot: Robot, worlds: Sequence[mujoco.MjModel], config: PhysicsConfig) -> mujoco.MjModel:
-    """Compile the robot on parked boxes, with all height fields of the worlds and one geom that can be any of them.
+    """Compile the robot with unused boxes, all height fields of the worlds, and one geom that can be any of them.
 
-    Only its foot velocity sensors remain: contacts are counted by the engine.
+    Only the foot velocity sensors are kept, because the engine counts contacts itself.
     """
     spec = world_spec(robot, assemble([]), config)
     fields = [world for world in worlds if world.nhfield]
@@ -66,13 +66,13 @@ def differing_fields(
     """Every field in which a world differs from the template.
 
     Args:
-        batched: names of the fields that the engine can give each robot its own value of.
+        batched: names of the fields that may have one value per robot.
 
     Returns:
         (num_worlds, ...) values of each field in the template's layout.
 
     Raises:
-        ArriveError: a field differs that must be the same for all robots.
+        ArriveError: worlds differ in a field that must be the same for all robots.
     """
     for world in worlds:
         _check_options(template, world)
@@ -103,7 +103,7 @@ def _differs(name: str, world: mujoco.MjModel, template: mujoco.MjModel) -> bool
 
 
 def _in_layout(name: str, world: mujoco.MjModel, template: mujoco.MjModel) -> np.ndarray:
-    """A world's field with its geoms where the template has them; geoms that it lacks are the template's own."""
+    """A world's field in the template's layout. Geoms that the world lacks are the template's own."""
     value = getattr(world, name)
     if not name.startswith("geom_"):
         return value
@@ -115,8 +115,8 @@ def _in_layout(name: str, world: mujoco.MjModel, template: mujoco.MjModel) -> np
 def _geom_places(world: mujoco.MjModel, template: mujoco.MjModel) -> np.ndarray:
     """(world.ngeom,) index in the template of every geom of a world.
 
-    Both begin with the terrain. The template's has one more geom, the last one, where any world has a height field;
-    a world with one has it in its last terrain geom.
+    Both begin with the terrain. If any world has a height field, the template has one more terrain geom for it, at the
+    end. In a world, the height field is the last terrain geom.
     """
     places = np.arange(world.ngeom)
     places[MAX_GEOMS:] += template.ngeom - world.ngeom
@@ -126,7 +126,7 @@ def _geom_places(world: mujoco.MjModel, template: mujoco.MjModel) -> np.ndarray:
 
 
 def _field_ids(template: mujoco.MjModel, worlds: Sequence[mujoco.MjModel]) -> np.ndarray:
-    """(num_worlds, template.ngeom) data of each geom: the world's own height field, or the first, which is parked."""
+    """(num_worlds, template.ngeom) data of each geom: the world's own height field, or else the unused first one."""
     ids = np.repeat(template.geom_dataid[None], len(worlds), axis=0)
     own = np.cumsum([world.nhfield for world in worlds]) - 1
     ids[:, MAX_GEOMS] = [index if world.nhfield else 0 for index, world in zip(own, worlds, strict=True)]
@@ -134,13 +134,13 @@ def _field_ids(template: mujoco.MjModel, worlds: Sequence[mujoco.MjModel]) -> np
 
 
 def _check_options(template: mujoco.MjModel, world: mujoco.MjModel) -> None:
-    """Make sure that the solver's settings are the template's."""
+    """Check that a world has the template's solver settings."""
     for name in dir(template.opt):
         value = getattr(template.opt, name)
         if name.startswith("_") or callable(value):
             continue
         if not np.array_equal(getattr(world.opt, name), value):
-            raise ArriveError(f"a world was compiled with another option {name} than the configuration says")
+            raise ArriveError(f"a world was compiled with another value of option {name} than in the configuration")
 
 
 def static_geoms(template: mujoco.MjModel) -> slice:

@@ -1,4 +1,4 @@
-"""MuJoCo Warp: all robots side by side on a GPU, or for tests on Warp's CPU device."""
+"""MuJoCo Warp: all robots in parallel on a GPU, or for tests on Warp's CPU device."""
 
 import dataclasses
 import gc
@@ -26,18 +26,18 @@ from arrive.robots.robot import Robot
 ROWS_PER_CONTACT = 4
 """Constraint rows of a contact with sliding friction: four with a pyramidal cone, three with an elliptic one."""
 OWN_LOSS = mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.CCD | mjw.OverflowType.HFIELD
-"""Overflows by which one robot loses contacts; its simulation then counts as diverged."""
+"""Overflows that make one robot lose contacts. Its simulation then counts as diverged."""
 SHARED_LOSS = mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE
-"""Overflows of the contacts of all robots together, by which any of them may lose some: an error."""
+"""Overflows of the contact list that all robots share. Any robot may lose contacts, so this is an error."""
 CHECK_STEPS = 100
-"""Policy steps between looks at the shared overflow, each of which waits for the GPU."""
+"""Policy steps between checks of the shared overflow. Each check waits for the GPU."""
 
 
 class WarpPhysics:
-    """`Physics` by MuJoCo Warp in float32; state, actions and readings stay on the device.
+    """`Physics` with MuJoCo Warp in float32. State, actions and readings stay on the device.
 
-    On a GPU a policy step is one CUDA graph. Sums over contacts are taken there in any order, so that runs of one
-    seed are statistically and not bit for bit the same.
+    On a GPU a policy step is one CUDA graph. Sums over contacts have no fixed order there, so runs with the same seed
+    agree statistically but not bit for bit.
     """
 
     def __init__(
@@ -52,12 +52,12 @@ class WarpPhysics:
         """Put the template and every world's own values on the device, with every environment in the first world.
 
         Args:
-            worlds: compiled models of one layout, compiled with this `config`.
+            worlds: models with the same layout, compiled with this `config`.
             device: a CUDA device, or the CPU.
-            network: what gives the torques of worlds that were compiled with `physics.motor=network`.
+            network: computes the torques of worlds that were compiled with `physics.motor=network`.
 
         Raises:
-            ArriveError: the worlds differ in what MuJoCo Warp cannot vary.
+            ArriveError: the worlds differ in a field that MuJoCo Warp cannot vary.
         """
         wp.config.log_level = wp.LOG_WARNING  # no banner, no line per kernel
         wp.init()
@@ -67,7 +67,7 @@ class WarpPhysics:
         self._warp_device = wp.device_from_torch(self.device)
         template = build_template(robot, worlds, config)
         tables = differing_fields(template, worlds, _batched_fields())
-        # MuJoCo Warp never resets a diverged robot, and knows no flag for it.
+        # MuJoCo Warp never resets a diverged robot and does not know the flag.
         template.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         with wp.ScopedDevice(self._warp_device):
             self._model = mjw.put_model(template, batch_sizes=dict.fromkeys(tables, num_envs))
@@ -96,9 +96,9 @@ class WarpPhysics:
         self._graph = self._capture()
 
     def _bind_worlds(self, template: mujoco.MjModel, tables: dict[str, np.ndarray]) -> None:
-        """Pair each environment's values on the device with the table that they are taken from.
+        """Pair each environment's values on the device with the table from which they are taken.
 
-        Warp computes the world pose of geoms that do not move only once, so these are set with the rest.
+        Warp computes the world pose of fixed geoms only once, so these poses are set too.
         """
         views = {name: wp.to_torch(getattr(self._model, name)) for name in tables}
         if "geom_pos" in tables:
@@ -190,10 +190,10 @@ class WarpPhysics:
         self._retired = torch.cat([self._retired, env_ids]).unique()
 
     def step(self, joint_targets: Tensor) -> None:
-        """Advance one policy step; retired robots are computed with the others and put back.
+        """Advance one policy step. Retired robots are computed with the others, and their state is then restored.
 
         Raises:
-            ArriveError: all robots together had more contacts than there is room for.
+            ArriveError: the shared list of contacts overflowed.
         """
         (self._motors.targets if self._motors else self._state["ctrl"]).copy_(joint_targets)
         kept = {name: view[self._retired] for name, view in self._state.items()}
@@ -248,7 +248,7 @@ class WarpPhysics:
 
 
 def _batched_fields() -> set[str]:
-    """Names of the model fields of which MuJoCo Warp takes one value per robot."""
+    """Names of the model fields that may have one value per robot in MuJoCo Warp."""
     fields = dataclasses.fields(mjw.Model)
     return {field.name for field in fields if getattr(field.type, "shape", (0,))[:1] == ("*",)}
 

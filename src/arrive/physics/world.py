@@ -1,4 +1,4 @@
-"""A world: one robot on one tile, compiled, with the friction and payload that this copy was dealt."""
+"""A world: one robot on one tile, compiled with its own friction and payload."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ CONTACTS = "contacts"
 
 @dataclass(frozen=True)
 class Sensors:
-    """Where each sensor's readings stand in `sensordata`; the same for every world of a robot."""
+    """Positions of the sensors' readings in `sensordata`, the same for every world of a robot."""
 
     foot_velocity: slice
     """World-frame velocity of each foot site, 3 per foot [m/s]."""
@@ -41,7 +41,7 @@ def sensor_layout(robot: Robot) -> Sensors:
 
 
 def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add the sensors the task reads, and no others: each costs time at every physics step."""
+    """Add only the sensors that the task uses, because each costs time at every physics step."""
     for site in robot.foot_sites:
         spec.add_sensor(
             name=f"{FOOT_VELOCITY}_{site}",
@@ -53,7 +53,7 @@ def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_contact_counts(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
-    """One sensor per body that reads the number of its contacts."""
+    """Add one sensor per body for its number of contacts."""
     found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
     for body in bodies:
         sensor = spec.add_sensor(
@@ -66,10 +66,10 @@ def _add_contact_counts(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
 
 
 def let_legs_collide(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Let the collision geoms of different legs collide: those of one leg, and legs and base, still pass.
+    """Let the collision geoms of different legs collide. Geoms of the same leg, and legs and base, do not collide.
 
-    A leg is a child of the base with all that hangs on it. MuJoCo lets two geoms collide where the `contype` of one
-    has a bit of the other's `conaffinity`; bit 0 belongs to the terrain, and every leg gets a bit of its own.
+    A leg is a child of the base with all its descendants. In MuJoCo two geoms collide if the `contype` of one and the
+    `conaffinity` of the other share a bit. Bit 0 belongs to the terrain, and every leg gets its own bit.
     """
     legs = spec.body(robot.base_body).bodies
     bits = [2 << leg for leg in range(len(legs))]
@@ -80,14 +80,14 @@ def let_legs_collide(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _collision_geoms(body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
-    """The geoms of a body and of all that hangs on it which collide with the terrain."""
+    """The geoms of a body and its descendants that collide with the terrain."""
     yield from (geom for geom in body.geoms if geom.contype)
     for child in body.bodies:
         yield from _collision_geoms(child)
 
 
 def world_spec(robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = False) -> mujoco.MjSpec:
-    """The uncompiled robot on a tile; `visuals` adds what is only looked at."""
+    """The uncompiled robot on a tile. `visuals` adds the visual shapes."""
     spec = robot.build_spec(visuals)
     if config.leg_contacts:
         let_legs_collide(spec, robot)
@@ -115,7 +115,7 @@ def compile_world(
         payload_kg: mass added to the base at its centre of mass, may be negative [kg].
 
     Raises:
-        ArriveError: the payload takes more than the base has.
+        ArriveError: the payload removes more mass than the base has.
     """
     spec = world_spec(robot, tile, config, visuals)
     for geom in spec.geoms:
@@ -125,7 +125,7 @@ def compile_world(
 
 
 def _add_payload(spec: mujoco.MjSpec, robot: Robot, payload_kg: float) -> None:
-    """Scale the base's mass and inertia, however the robot gives them: as a matrix, by principal axes, or by geoms.
+    """Scale the base's mass and inertia, whether the robot gives them as a matrix, by principal axes, or by geoms.
 
     Raises:
         ArriveError: the base would have no mass left.
