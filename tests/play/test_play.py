@@ -26,9 +26,11 @@ from arrive.play import colours, shapes
 from arrive.play.history import WINDOW_S, History
 from arrive.play.playground import TERRAIN_GROUP, Playground
 from arrive.play.skills import choices, open_skill
+from arrive.play.status import status_html
 from arrive.play.stick import parse_stick
 from arrive.play.trail import WINDOW_S as WINDOW_TRAIL_S
 from arrive.play.trail import Trail
+from arrive.play.view import FIELD_OF_VIEW_RAD, HORIZON, camera_axes, first_view, pitch, sky
 from arrive.policies import DEFAULT
 from arrive.policies.solved import solved_beside
 from arrive.terrain import FAMILIES
@@ -303,11 +305,43 @@ def test_what_is_no_value_of_a_terrain_was_not_solved(tmp_path, value):
     assert solved_beside(tmp_path) == {"pit": 0.3}
 
 
-def test_the_chooser_says_what_policies_can(tmp_path, monkeypatch):
-    (tmp_path / "leaper").mkdir()
-    measured(tmp_path / "leaper", gap=0.5, flat=0.0, stairs=0.1)
+def shipped(folder: Path, name: str, robot: str, **solved: float | None) -> None:
+    """A run folder among the shipped ones, for a robot."""
+    (folder / name).mkdir()
+    measured(folder / name, **solved)
+    (folder / name / "config.json").write_text(json.dumps({"config": {"robot": robot}}))
+
+
+def test_the_chooser_says_what_policies_can_and_for_which_robot(tmp_path, monkeypatch):
+    shipped(tmp_path, "leaper", "anymal_c", gap=0.5, flat=0.0, stairs=0.1)
+    shipped(tmp_path, "trotter", "go2", stairs=0.1)
     monkeypatch.setattr(policies, "SHIPPED", tmp_path)
-    assert choices(str(RUN)) == {"leaper: gap 0.5 m and 1 more": "leaper", "joystick": str(RUN)}
+    offered = {choice.label: (choice.name, choice.robot) for choice in choices(open_skill(str(RUN)))}
+    assert offered == {
+        "leaper: gap 0.5 m and 1 more": ("leaper", "anymal_c"),
+        "trotter: stairs 0.1 m": ("trotter", "go2"),
+        "joystick": (str(RUN), "anymal_c"),
+    }
+
+
+def test_robots_are_offered_where_there_are_several(playground, tmp_path, monkeypatch):
+    pytest.importorskip("viser")
+    from arrive.play.panel import Panel
+    from arrive.play.server import open_server
+
+    shipped(tmp_path, "leaper", "anymal_c", gap=0.5)
+    shipped(tmp_path, "trotter", "go2", stairs=0.1)
+    monkeypatch.setattr(policies, "SHIPPED", tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    server, _ = open_server("127.0.0.1", port)
+    try:
+        panel = Panel(server, Playground(open_skill("leaper"), FLAT), lambda request: None)
+        assert panel._robot.visible
+        assert panel._robot.options == ("anymal_c", "go2")
+        assert panel._policy.options == ("leaper: gap 0.5 m",)
+    finally:
+        server.stop()
 
 
 def test_all_around_the_target_lies_beyond_the_terrain(skill):
@@ -327,6 +361,37 @@ def test_the_policy_changes_under_the_robot(playground, tmp_path):
     run(playground, 0.1)
     assert playground.command.mode == "stop"
     assert playground.time_s == pytest.approx(clock + 0.1)
+
+
+def told(playground: Playground) -> str:
+    """What the page says, without markup."""
+    return re.sub(r"<[^>]*>", " ", status_html(playground, Pace(playground.control_dt)))
+
+
+def test_the_status_says_what_to_do_and_what_goes_on(playground):
+    assert "Waiting" in told(playground)
+    assert "Press Go" in told(playground)
+    playground.send(3.0, 0.0, 1.0)
+    run(playground, 0.1)
+    assert re.search(r"On its way +[23]\.\d m to go, 0\.9 s left", told(playground))
+    run(playground, 1.0)
+    assert "Late" in told(playground)
+    playground.send(*playground.robot.base_pos_w[:2].tolist(), 2.0)
+    run(playground, 0.1)
+    assert "At the target" in told(playground)
+    playground.drive(0.6, 0.0)
+    run(playground, 0.1)
+    assert "Driven" in told(playground)
+    overturn(playground)
+    for _ in range(100):
+        playground.step()
+        if playground.falls:
+            break
+    playground.step()
+    assert "Safe stance" in told(playground)
+    assert "1 fall" in told(playground)
+    playground.messages.append("<b>&")
+    assert "<li>&lt;b&gt;&amp;</li>" in status_html(playground, Pace(0.02))
 
 
 # Time.
@@ -452,13 +517,61 @@ def test_the_ground_bears_its_texture_in_real_size():
     corners = box.vertices[box.faces].reshape(-1, 3)
     places = surfaces.box_coordinates(corners).reshape(-1, 3, 2)
     sides = corners.reshape(-1, 3, 3)
-    # A face's edges are as long on the picture as they are in the world.
+    # A level face's edges are as long on the picture as they are in the world.
+    level = np.ptp(sides[..., 2], axis=1) == 0.0
+    places, sides = places[level], sides[level]
     for a, b in ((0, 1), (1, 2)):
         np.testing.assert_allclose(
             np.linalg.norm(places[:, b] - places[:, a], axis=1), np.linalg.norm(sides[:, b] - sides[:, a], axis=1)
         )
     document, _ = read_glb(surfaces.ground_surface(box, (128, 128, 128)))
     assert document["images"][0]["mimeType"] == "image/png"
+
+
+def test_only_edges_of_the_ground_look_like_edges():
+    surfaces = pytest.importorskip("arrive.play.surfaces")
+    tread = shapes.box((0.15, 2.0, 0.5))
+    corners = tread.vertices[tread.faces].reshape(-1, 3)
+    places = surfaces.box_coordinates(corners).reshape(-1, 3, 2)
+    level = np.ptp(corners.reshape(-1, 3, 3)[..., 2], axis=1) == 0.0
+    assert np.ptp(places[level][..., 0]) == 0.0, "no joint along a tread"
+    assert np.ptp(places[level][..., 1]) == 4.0, "joints across it in real size"
+    assert (np.ptp(places[~level][..., 1], axis=1) == 0.0).all(), "no level joint on a riser"
+
+
+def test_upright_faces_darken_with_depth():
+    surfaces = pytest.importorskip("arrive.play.surfaces")
+    block = shapes.box((1.0, 2.0, 0.6))
+    corners = block.vertices[block.faces].reshape(-1, 3)
+    shade, normal = surfaces.shades(corners).reshape(-1, 3), surfaces._normals(corners.reshape(-1, 3, 3))
+    upright = normal[:, 2] == 0.0
+    assert (shade[~upright] == 1.0).all()
+    low = corners.reshape(-1, 3, 3)[..., 2] < 0.0
+    assert shade[low & upright[:, None]].max() < 0.4 * shade[~low & upright[:, None]].min()
+
+
+@pytest.mark.parametrize("aspect", [0.46, 1.22, 2.0])
+@pytest.mark.parametrize("target", [(5.0, 0.0, 0.5), (5.0, 0.0, 3.1), (-3.0, 2.0, -1.0), (0.0, 0.0, 0.5)])
+def test_the_first_view_shows_robot_and_target(aspect, target):
+    base, target = np.array([0.0, 0.0, 0.57]), np.array(target)
+    view = first_view(base, target, aspect)
+    forward = view.look_at - view.position
+    axes = camera_axes(math.atan2(forward[1], forward[0]), pitch(forward))
+    for point in (base, target):
+        depth, right, up = axes @ (point - view.position)
+        assert abs(right / depth) < 0.95 * aspect * math.tan(FIELD_OF_VIEW_RAD / 2)
+        assert abs(up / depth) < 0.95 * math.tan(FIELD_OF_VIEW_RAD / 2)
+    assert forward[2] < 0.0
+    assert (axes[0] @ (target - base)) >= 0.0, "along the way"
+
+
+def test_the_sky_begins_where_level_ground_ends():
+    for up in (-0.3, 0.0, 0.2):
+        rows = sky(up, 0.85, 400)[:, 0]
+        ground = (rows == HORIZON).all(axis=1)
+        seen = (1.0 + math.tan(up) / math.tan(0.85 / 2)) / 2
+        assert not ground[: round(400 * seen) - 8].any()
+        assert ground[round(400 * seen) + 1 :].all()
 
 
 # Any robot.

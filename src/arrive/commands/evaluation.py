@@ -24,9 +24,8 @@ from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, Errands, check_policy, effort, hardest_solved
 from arrive.evaluation.reach import measure as measure_reach
 from arrive.learning.policy import Policy
-from arrive.learning.rundir import CONFIG_NAME
 from arrive.physics.device import choose_device, describe_device
-from arrive.policies import DIFFICULTY_NAME, find_policy
+from arrive.policies import CONFIG_NAME, DIFFICULTY_NAME, find_policy
 from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card

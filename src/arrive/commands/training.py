@@ -26,7 +26,6 @@ from arrive.learning.logs import RunLog
 from arrive.learning.ranks import Ranks, join_ranks
 from arrive.learning.report import IterationReport
 from arrive.learning.rundir import (
-    CONFIG_NAME,
     check_free,
     new_run_folder,
     owned,
@@ -37,7 +36,7 @@ from arrive.learning.rundir import (
 from arrive.learning.trainer import Budget, Trainer
 from arrive.lock import Lock
 from arrive.physics.device import choose_device, describe_device
-from arrive.policies import find_policy
+from arrive.policies import CONFIG_NAME, find_policy
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
 

@@ -19,9 +19,8 @@ from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import LOG_NAME
 from arrive.lock import Lock
 from arrive.plugins import imported, require
-from arrive.policies import POLICY_NAME, RUNS
+from arrive.policies import CONFIG_NAME, POLICY_NAME, RUNS
 
-CONFIG_NAME = "config.json"
 LOCK_NAME = "run.lock"
 MOTOR_NAME = "motor.safetensors"
 """File name of the run's own copy of its actuator network."""

@@ -19,6 +19,7 @@ def glb(
     roughness: float,
     normals: np.ndarray | None = None,
     texture: tuple[Image.Image, np.ndarray] | None = None,
+    shades: np.ndarray | None = None,
 ) -> bytes:
     """A surface of one material.
 
@@ -29,12 +30,15 @@ def glb(
         roughness: 0 is a mirror, 1 is chalk.
         normals: (n, 3) unit vectors; without them every face is shaded flat.
         texture: a picture that repeats, and the places (n, 2) on it, where 1 is its width or height.
+        shades: (n,) factors of the colour at the vertices, 0 to 1.
     """
     arrays = {"POSITION": vertices.astype("<f4")}
     if normals is not None:
         arrays["NORMAL"] = normals.astype("<f4")
     if texture is not None:
         arrays["TEXCOORD_0"] = texture[1].astype("<f4")
+    if shades is not None:
+        arrays["COLOR_0"] = np.repeat(shades[:, None], 3, axis=1).astype("<f4")
     arrays["indices"] = faces.astype("<u4").reshape(-1)
     parts = [array.tobytes() for array in arrays.values()]
     document = _document(arrays, colour, roughness)

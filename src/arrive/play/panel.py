@@ -10,7 +10,8 @@ from arrive.errors import ArriveError
 from arrive.play.history import History
 from arrive.play.playground import DURATION_S, DURATIONS_S, FASTEST_PUSH, Playground
 from arrive.play.plots import Plots
-from arrive.play.skills import choices, open_skill
+from arrive.play.skills import Skill, choices, open_skill
+from arrive.play.status import status_html
 from arrive.play.stick import CENTRE, page_html, parse_stick, stick_html
 from arrive.terrain import FAMILIES, Family, Layout
 from arrive.terrain.ground import Ground, varies
@@ -46,9 +47,9 @@ class Panel:
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND, control_width="small")
         gui.main_panel.dock_right()
         gui.add_html(page_html())
-        self._status = gui.add_markdown("")
+        self._status = gui.add_html("")
         self._add_actions(gui)
-        self._add_skill(gui, playground)
+        self._add_skill(gui)
         with gui.add_folder("Drive"):
             self._add_stick(gui)
         with gui.add_folder("More", expand_by_default=False):
@@ -91,9 +92,7 @@ class Panel:
     def show(self, playground: Playground) -> None:
         """Set the controls to the playground's policy and ground."""
         family, value = playground.ground.family, playground.ground.value
-        self._names = choices(playground.skill.name)
-        self._policy.options = tuple(self._names)
-        self._policy.value = next(label for label, name in self._names.items() if name == playground.skill.name)
+        self._show_skill(playground.skill)
         self._terrain.value = family.name
         self._layout.value = next(label for label, layout in LAYOUTS.items() if layout == playground.ground.layout)
         self._value.visible = varies(family)
@@ -109,7 +108,7 @@ class Panel:
 
     def update(self, playground: Playground, pace: Pace, history: History) -> None:
         """Say how things stand."""
-        self._status.content = _status(playground, pace)
+        self._status.content = status_html(playground, pace)
         self._plots.update(history, playground.time_s)
 
     def _add_actions(self, gui: viser.GuiApi) -> None:
@@ -124,18 +123,34 @@ class Panel:
     def _toggle_slow(self) -> None:
         self._speed.value = SLOW if self._speed.value > SLOW else 1.0
 
-    def _add_skill(self, gui: viser.GuiApi, playground: Playground) -> None:
-        self._names = choices(playground.skill.name)
-        self._policy = gui.add_dropdown("Policy", tuple(self._names))
+    def _add_skill(self, gui: viser.GuiApi) -> None:
+        self._robot = gui.add_dropdown("Robot", ("",), visible=False)
+        self._policy = gui.add_dropdown("Policy", ("",))
         self._terrain = gui.add_dropdown("Terrain", tuple(FAMILIES))
         self._value = gui.add_slider("Value", min=0.0, max=1.0, step=0.01, initial_value=0.0)
+        self._robot.on_update(_by_a_person(self._change_robot))
         self._policy.on_update(_by_a_person(self._change_policy))
         self._terrain.on_update(_by_a_person(self._change_terrain))
         self._value.on_update(_by_a_person(self._change_value))
 
+    def _show_skill(self, current: Skill) -> None:
+        """The policies for the current robot, and the robots where there are several."""
+        self._choices = choices(current)
+        robots = tuple(sorted({choice.robot for choice in self._choices}))
+        mine = next(choice for choice in self._choices if choice.name == current.name)
+        self._robot.options, self._robot.value, self._robot.visible = robots, mine.robot, len(robots) > 1
+        self._policy.options = tuple(choice.label for choice in self._choices if choice.robot == mine.robot)
+        self._policy.value = mine.label
+
+    def _change_robot(self) -> None:
+        self._run(next(choice.name for choice in self._choices if choice.robot == self._robot.value))
+
     def _change_policy(self) -> None:
+        self._run(next(choice.name for choice in self._choices if choice.label == self._policy.value))
+
+    def _run(self, name: str) -> None:
         """Read a policy here, in a thread of the page, so that the robot goes on meanwhile."""
-        name, layout = self._names[self._policy.value], LAYOUTS[self._layout.value]
+        layout = LAYOUTS[self._layout.value]
         try:
             skill = open_skill(name)
             ground = skill.ground(layout)
@@ -242,16 +257,3 @@ def _on_press(gui: viser.GuiApi, label: str, hotkey: str, act: Callable[[], None
     """A button and a key that do the same."""
     gui.add_button(f"{label} ({hotkey})", color=color).on_click(lambda _: act())
     gui.add_command(label, hotkey=hotkey).on_trigger(lambda _: act())
-
-
-def _status(playground: Playground, pace: Pace) -> str:
-    command, target = playground.command, playground.target
-    lines = [f"**{playground.skill.name}** on {playground.ground.words}"]
-    lines.append(f"**{command.mode}**{': ' if command.reason else ''}{command.reason}")
-    if target is not None:
-        left = max(0.0, target.arrive_at_s - playground.time_s)
-        lines.append(f"{playground.distance:.2f} m to the target, {left:.1f} s left")
-    speed = f"at {pace.factor:.1g} x real time" if pace.factor else "paused"
-    lines.append(f"{playground.time_s:.1f} s, {speed}, falls: {playground.falls}")
-    said = list(playground.messages)[-2:]
-    return "  \n".join(lines) + "\n\n" + "\n".join(f"- {message}" for message in said)

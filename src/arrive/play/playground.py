@@ -86,7 +86,6 @@ class Playground:
         self.skill, self.ground = skill, ground
         self._start()
         self.aim = self._point(*first_aim(robot.tile, ground))
-        self.messages.append(f"{skill.name} on {ground.words}")
 
     def learn(self, skill: Skill) -> None:
         """Go on where the robot is with another network for the same robot.
@@ -128,6 +127,16 @@ class Playground:
         """From the base to the target, NaN where there is none [m]."""
         return math.dist(self.robot.base_pos_w, self.target.position_w) if self.target else math.nan
 
+    @property
+    def speed(self) -> float:
+        """Of the base, horizontal [m/s]."""
+        return float(np.hypot(*self.robot.base_lin_vel_w[:2]))
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the robot is within the arrival radius of its target."""
+        return self.distance < self.skill.policy.task.arrival_radius_m
+
     def step(self) -> None:
         """Make one control step."""
         step = self.driver.step(self.goal)
@@ -143,7 +152,7 @@ class Playground:
         data = self.robot.data
         return Reading(
             time_s=self.time_s,
-            speed=float(np.hypot(*self.robot.base_lin_vel_w[:2])),
+            speed=self.speed,
             distance=self.distance,
             torque=data.actuator_force.copy(),
             contact=data.sensordata[sensor_layout(self.robot.robot).foot_contacts] > 0,
@@ -237,8 +246,8 @@ class Playground:
         """Say once whether the robot was at its target when the time was over."""
         if self._judged or self.target is None or self.time_s < self.target.arrive_at_s - 1e-6:
             return
-        arrived = self.distance < self.skill.policy.task.arrival_radius_m
-        self.messages.append(f"{'arrived' if arrived else 'not there in time'}: {self.distance:.2f} m from the target")
+        verdict = "arrived" if self.is_there else "not there in time"
+        self.messages.append(f"{verdict}: {self.distance:.2f} m from the target")
         self._judged = True
 
     def _point(self, x: float, y: float) -> tuple[float, float, float]:

@@ -8,9 +8,10 @@ import viser
 
 from arrive.play.colours import PALETTE, Rgb, palette
 from arrive.play.playground import TERRAIN_GROUP, Playground
-from arrive.play.shapes import Triangles, cylinder, geom_triangles, joined
+from arrive.play.shapes import Triangles, cylinder, geom_triangles, joined, revolved
 from arrive.play.surfaces import ground_surface, linear, robot_surface
 from arrive.play.trail import Trail
+from arrive.play.view import FIELD_OF_VIEW_RAD, HORIZON, ZENITH, first_view, pitch, sky
 from arrive.simulation import SimulatedRobot
 
 WORLD = "/world"
@@ -19,18 +20,16 @@ VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """Groups of a robot's geoms (`arrive.robots.robot`): those that are looked at, and those that touch the ground."""
 PARKED_BELOW = -50.0
 """Terrain geoms lower than this are unused ones [m]."""
-ACTIVE, IDLE = PALETTE[1], (235, 235, 235)
-"""Colour of the target while the robot is sent there, and while it is not."""
-CAMERA, LOOK_AT = (-3.0, -3.2, 2.3), (0.35, 0.0, 0.3)
-"""Where a new browser looks from and to: along the way, from behind the robot and beside it, so that what lies ahead is
-seen [m]."""
-FIELD_OF_VIEW_RAD = 0.85
-HORIZON: Rgb = (214, 226, 238)
-ZENITH: Rgb = (96, 150, 206)
-SKY_SHARE = 0.24
-"""Share of the picture's height, from its top, over which the sky fades into the horizon's colour."""
+IDLE, SENT, REACHED = (250, 226, 196), PALETTE[1], PALETTE[2]
+"""Colour of the target before the robot is sent there, while it is, and once it stands in it."""
+RIM = 0.02
+"""Width of the ring around the target [m]."""
 FOG_M = (14.0, 70.0)
 """Where the ground begins to fade into the horizon, and where it is gone [m]."""
+SKY_STEP_RAD = 0.004
+"""The sky is drawn again after the camera looked up or down by so much."""
+USUAL_ASPECT = 1.4
+"""Width over height of a picture before its browser has told."""
 SUN = (-3.0, 4.0, 7.0)
 """The sun's direction [m from the origin]."""
 FADED: Rgb = (200, 200, 196)
@@ -47,13 +46,14 @@ class Scene:
         """Send sky, light, robot, ground and target."""
         self._server = server
         server.scene.set_up_direction("+z")
-        server.initial_camera.position, server.initial_camera.look_at = CAMERA, LOOK_AT
-        server.initial_camera.fov = FIELD_OF_VIEW_RAD
         self._add_sky()
         self._world = server.scene.add_frame(WORLD, show_axes=False)
         self._lift = 0.0
         self._robot = self._ground = None
         self.show(playground)
+        view = first_view(*self._ends(playground), USUAL_ASPECT)
+        server.initial_camera.position, server.initial_camera.look_at = view.position, view.look_at
+        server.initial_camera.fov = FIELD_OF_VIEW_RAD
         self.gizmo = self._add_target(playground)
         self._trail = server.scene.add_line_segments(
             f"{WORLD}/trail", np.zeros((0, 2, 3)), np.zeros((0, 2, 3), dtype=np.uint8), thickness=0.012
@@ -82,12 +82,20 @@ class Scene:
             self._lift += LIFT_SHARE * (z - robot.robot.standing_height - self._lift)
             self._world.position = (-x, -y, -self._lift)
 
-    def show_target(self, position: tuple[float, float, float], sent: bool) -> None:
-        """Move the target there [m]; `sent` says whether the robot is on its way to it."""
+    def look(self, client: viser.ClientHandle, playground: Playground) -> None:
+        """Have a browser look along the way to the target."""
+        camera = client.camera
+        view = first_view(*self._ends(playground), camera.image_width / max(camera.image_height, 1))
+        with client.atomic():
+            camera.position = view.position
+            camera.look_at = view.look_at
+
+    def show_target(self, position: tuple[float, float, float], colour: Rgb) -> None:
+        """Move the target there [m]."""
         with self._server.atomic():
             self.gizmo.position = position
             for part in self._marks:
-                part.color = ACTIVE if sent else IDLE
+                part.color = colour
 
     def show_trail(self, trail: Trail, feet: int, visible: bool) -> None:
         """Draw where the feet were."""
@@ -101,15 +109,19 @@ class Scene:
         """(3,) position in the simulation of a point in viser's own frame [m]."""
         return np.array(point) - self._world.position
 
+    def _ends(self, playground: Playground) -> tuple[np.ndarray, np.ndarray]:
+        """Robot and target in viser's own frame [m]."""
+        return playground.robot.base_pos_w + self._world.position, np.array(playground.aim) + self._world.position
+
     def _add_sky(self) -> None:
-        """A sky that fades into the horizon, a sun that casts shadows, and light from the sky."""
+        """A sun that casts shadows, light from the sky, haze, and the sky itself, which goes with every camera."""
         scene = self._server.scene
-        scene.set_background_image(sky(), format="png")
         scene.configure_fog(*FOG_M, color=in_linear_light(HORIZON))
         scene.configure_default_lights(enabled=False)
         scene.configure_environment_map("park", environment_intensity=0.25)
         scene.add_light_hemisphere("/light/sky", sky_color=ZENITH, ground_color=(150, 140, 128), intensity=1.1)
         scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.6, cast_shadow=True, position=SUN)
+        self._server.on_client_connect(_keep_horizon)
 
     def _add_robot(self, robot: SimulatedRobot) -> dict[int, viser.FrameHandle]:
         """One frame per moving link; bodies that are welded together share one."""
@@ -135,8 +147,16 @@ class Scene:
             name, scale=0.6, active_axes=(True, True, False), disable_rotations=True, position=playground.aim
         )
         height = task.target_height_m
-        disc, pole = cylinder(task.arrival_radius_m, 0.004), cylinder(0.012, height / 2)
-        for part, mesh, z, opacity in (("disc", disc, 0.012 - height, 0.45), ("pole", pole, -height / 2, None)):
+        radius = task.arrival_radius_m
+        disc, pole = cylinder(radius, 0.004), cylinder(0.012, height / 2)
+        # Both sides of the band, from below outwards and back over its upper edge.
+        rim = revolved([(radius, -RIM), (radius, RIM), (radius - RIM, RIM), (radius - RIM, -RIM)])
+        parts = (
+            ("disc", disc, 0.012 - height, 0.35),
+            ("rim", rim, 0.012 - height, None),
+            ("pole", pole, -height / 2, None),
+        )
+        for part, mesh, z, opacity in parts:
             scene.add_mesh_simple(
                 f"{name}/{part}",
                 mesh.vertices,
@@ -146,16 +166,27 @@ class Scene:
                 position=(0.0, 0.0, z),
                 cast_shadow=False,
             )
-        scene.add_icosphere(f"{name}/ball", radius=0.06, color=IDLE, cast_shadow=False)
-        self._marks = [scene.get_handle_by_name(f"{name}/{part}") for part in ("disc", "pole", "ball")]
+        scene.add_icosphere(f"{name}/ball", radius=0.07, color=IDLE, cast_shadow=False)
+        self._marks = [scene.get_handle_by_name(f"{name}/{part}") for part in ("disc", "rim", "pole", "ball")]
         return gizmo
 
 
-def sky(rows: int = 256) -> np.ndarray:
-    """(rows, 8, 3) picture of the sky; it does not turn with the camera, which mostly looks down a little."""
-    height = np.clip(np.linspace(1.0, 1.0 - 1.0 / SKY_SHARE, rows), 0.0, 1.0)[:, None]
-    column = np.array(HORIZON) + height * (np.array(ZENITH) - np.array(HORIZON))
-    return np.repeat(column[:, None], 8, axis=1).round().astype(np.uint8)
+def _keep_horizon(client: viser.ClientHandle) -> None:
+    """Keep the sky's horizon where the ground ends, however high or low a browser looks.
+
+    viser stretches a picture behind everything and has no sky that turns with the camera.
+    """
+    drawn = np.inf
+
+    def draw(camera: viser.CameraHandle) -> None:
+        nonlocal drawn
+        up = pitch(camera.look_at - camera.position)
+        if abs(up - drawn) > SKY_STEP_RAD:
+            drawn = up
+            client.scene.set_background_image(sky(up, camera.fov), format="png")
+
+    draw(client.camera)
+    client.camera.on_update(draw)
 
 
 def in_linear_light(colour: Rgb) -> Rgb:

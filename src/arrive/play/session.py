@@ -14,7 +14,7 @@ from arrive.errors import ArriveError
 from arrive.play.history import History
 from arrive.play.panel import Panel, Request
 from arrive.play.playground import Playground
-from arrive.play.scene import Scene
+from arrive.play.scene import IDLE, REACHED, SENT, Scene
 from arrive.play.trail import Trail
 
 DRAW_PERIOD_S = 1 / 30
@@ -24,7 +24,7 @@ PANEL_PERIOD_S = 0.2
 TRAIL_PERIOD_S = 0.1
 """Between updates of the feet's trail [s]."""
 READING_STEPS = 2
-"""Control steps between readings in the plots, and between samples of the trail."""
+"""Control steps between readings in the plots."""
 NAP_S = 0.002
 """The thread looks for work this often [s]."""
 
@@ -61,6 +61,7 @@ class Session:
         self._panel = Panel(server, playground, self.post)
         self._start_over()
         self._drawn_target: Hashable = None
+        self._looked_at: Hashable = (playground.ground.family, playground.ground.layout)
         self._steps = self._answered = 0
         self._tickers = (
             Ticker(DRAW_PERIOD_S, self._draw),
@@ -100,11 +101,21 @@ class Session:
             self._scene.show(self.playground)
             self._panel.show(self.playground)
             self._start_over()
+            self._look()
+
+    def _look(self) -> None:
+        """Other terrain is looked at along the way; another value of the same leaves cameras where they are."""
+        ground = self.playground.ground
+        if (ground.family, ground.layout) == self._looked_at:
+            return
+        self._looked_at = (ground.family, ground.layout)
+        for client in self._server.get_clients().values():
+            self._scene.look(client, self.playground)
 
     def _start_over(self) -> None:
         """Another robot or ground has neither past nor trail."""
         self._drawn_robot = self.playground.robot
-        self._trail = Trail(READING_STEPS * self.playground.control_dt)
+        self._trail = Trail(self.playground.control_dt)
         self._history = History(READING_STEPS * self.playground.control_dt)
 
     def _step(self) -> None:
@@ -112,21 +123,26 @@ class Session:
         self._steps += 1
         if self._steps % READING_STEPS == 0:
             self._history.append(self.playground.read())
-            self._trail.append(self.playground.feet())
+        self._trail.append(self.playground.feet())
 
     def _draw(self) -> None:
         """Links always; the target only when it is another, for a person may be dragging it."""
-        target = (self.playground.aim, self.playground.target)
-        if target != self._drawn_target:
-            self._scene.show_target(self.playground.aim, self.playground.target is not None)
-            self._drawn_target = target
+        playground = self.playground
+        colour = IDLE if playground.target is None else REACHED if playground.is_there else SENT
+        if (playground.aim, colour) != self._drawn_target:
+            self._scene.show_target(playground.aim, colour)
+            self._drawn_target = (playground.aim, colour)
         self._scene.update(self.playground.robot, self._panel.follow)
 
     def _draw_trail(self) -> None:
         self._scene.show_trail(self._trail, len(self.playground.robot.robot.foot_sites), self._panel.trail)
 
     def _listen(self) -> None:
-        """To the two ways of setting a target."""
+        """To browsers that open the page, and to the two ways of setting a target."""
+
+        @self._server.on_client_connect
+        def _(client: viser.ClientHandle) -> None:
+            self.post(lambda playground: self._scene.look(client, playground))
 
         @self._scene.gizmo.on_update
         async def _(event: viser.TransformControlsEvent) -> None:

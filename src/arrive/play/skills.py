@@ -1,14 +1,15 @@
 """What a policy can do: the terrain it was trained on, and the hardest of it that it was measured to solve."""
 
+import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from arrive import policies
 from arrive.config import Config, saved_config
 from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
-from arrive.errors import ArriveError
-from arrive.policies import DEFAULT, find_policy, shipped_names
+from arrive.policies import CONFIG_NAME, DEFAULT, find_policy, shipped_names
 from arrive.policies.solved import TELLING, amounts, solved_beside, solved_in
 from arrive.terrain import FAMILIES, Layout
 from arrive.terrain.ground import Ground
@@ -63,10 +64,26 @@ def open_skill(name: str | None) -> Skill:
     return Skill(name, policy, solved_in(policy.meta.get("evaluation")))
 
 
-def choices(current: str) -> dict[str, str]:
-    """Names of the policies at hand by what a chooser shows, the current one among them."""
-    names = sorted({*shipped_names(), current})
-    return {_label(name): name for name in names}
+@dataclass(frozen=True)
+class Choice:
+    """A policy that can be chosen."""
+
+    name: str
+    robot: str
+    """Name of the robot that it moves."""
+    label: str
+    """What a chooser shows: its short name and what it solves."""
+
+
+def choices(current: Skill) -> tuple[Choice, ...]:
+    """The policies at hand: those that come with the package and the current one."""
+    shipped = {name: _robot_of(policies.SHIPPED / name) for name in shipped_names()}
+    robots = shipped | {current.name: current.config.robot}
+    return tuple(Choice(name, robot, _label(name)) for name, robot in sorted(robots.items()))
+
+
+def _robot_of(run: Path) -> str:
+    return str(json.loads((run / CONFIG_NAME).read_text())["config"]["robot"])
 
 
 def _label(name: str) -> str:

@@ -12,6 +12,13 @@
     return [...document.querySelectorAll("input")].find((input) => WRITTEN.test(input.value));
   }
 
+  // People need not see what only the server reads.
+  function hideRow(field) {
+    let row = field;
+    while (row && !row.textContent.trim()) row = row.parentElement;
+    if (row && row.textContent.trim() === "Stick") row.style.display = "none";
+  }
+
   // React takes over a value only if it is set by the element's own setter and followed by an event.
   function write(field, text) {
     Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field, text);
@@ -55,6 +62,8 @@
   function send(state) {
     const field = textField();
     if (!field) return;
+    hideRow(field);
+    showStatus();
     const text = direction(state).map((value) => (Math.round(value * 50) / 50 || 0).toFixed(2)).join(" ");
     // Only what changed here: another browser may be driving.
     if (text !== state.last) write(field, text);
@@ -64,9 +73,16 @@
     if (knob) knob.setAttribute("transform", `translate(${-REACH * left} ${-REACH * forward})`);
   }
 
+  // What the robot does, over a phone's picture: the panel that says it is closed.
+  function showStatus() {
+    const sign = document.querySelector("[data-arrive-sign]");
+    const said = document.querySelector("[data-arrive-status]:not([data-arrive-sign] *)");
+    if (sign && said && sign.innerHTML !== said.outerHTML) sign.innerHTML = said.outerHTML;
+  }
+
   // On a phone viser's panel is a sheet over the picture. It is closed at first, and what one drives with lies free.
   function phoneLayout(pad) {
-    document.querySelectorAll("[data-arrive-bar]").forEach((bar) => bar.remove());
+    document.querySelectorAll("[data-arrive-bar], [data-arrive-sign]").forEach((part) => part.remove());
     if (!matchMedia("(max-width: 36em)").matches) return;
     const bar = document.createElement("div");
     bar.dataset.arriveBar = "";
@@ -81,7 +97,9 @@
       keys.append(key);
     }
     bar.append(pad, keys);
-    document.body.append(bar);
+    const sign = document.createElement("div");
+    sign.dataset.arriveSign = "";
+    document.body.append(bar, sign);
     const handle = document.querySelector('[style*="cursor: pointer"][style*="height: 3.5em"]');
     // Once: who opens it wants it open. The page may be built twice before it has a sheet at all.
     if (!handle || window.arriveSheet) return;

@@ -19,6 +19,10 @@ JOINT_PX = 2
 """Width of the joints between plates, on either side."""
 PLATE_SPREAD, GRAIN, JOINT = 0.06, 0.02, 0.72
 """How much plates differ in brightness, how much every point does, and the brightness of joints; 1 is white."""
+NARROW_M = 0.45
+"""A face that is narrower than this, and longer, is a stair's: joints along it would look like further stairs [m]."""
+SIDE, DARKENING_M = 0.6, 1.2
+"""How bright the top of an upright face is against level ground, and over which depth below it light is lost [m]."""
 GROUND_ROUGHNESS, ROBOT_ROUGHNESS = 0.95, 0.42
 
 
@@ -28,11 +32,11 @@ def robot_surface(mesh: Triangles, colour: Rgb) -> bytes:
 
 
 def ground_surface(mesh: Triangles, colour: Rgb) -> bytes:
-    """A glTF file of flat faces that bear the texture of the ground in its real size."""
+    """A glTF file of flat faces that bear the texture of the ground in its real size; upright ones are darker."""
     vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
     faces = np.arange(len(vertices)).reshape(-1, 3)
     texture = (ground_texture(), box_coordinates(vertices) / TEXTURE_M)
-    return glb(vertices, faces, linear(colour), GROUND_ROUGHNESS, texture=texture)
+    return glb(vertices, faces, linear(colour), GROUND_ROUGHNESS, texture=texture, shades=shades(vertices))
 
 
 def linear(colour: Rgb) -> tuple[float, float, float]:
@@ -51,13 +55,38 @@ def smooth_normals(mesh: Triangles) -> np.ndarray:
 
 
 def box_coordinates(vertices: np.ndarray) -> np.ndarray:
-    """(n, 2) places [m] of triangles' corners (n, 3), three by three, seen along the axis that they face most."""
+    """(n, 2) places [m] of triangles' corners (n, 3), three by three, seen along the axis that they face most.
+
+    Upright faces bear no joints across, nor do narrow ones along: only edges of the ground are to look like edges.
+    """
     corners = vertices.reshape(-1, 3, 3)
-    normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    normal = np.abs(_normals(corners))
     # A slope counts as level ground up to 63 degrees.
     normal[:, 2] *= 2.0
-    axes = np.array([[1, 2], [0, 2], [0, 1]])[normal.argmax(axis=1)]
-    return np.take_along_axis(corners, axes[:, None, :].repeat(3, axis=1), axis=2).reshape(-1, 2)
+    facing = normal.argmax(axis=1)
+    axes = np.array([[1, 2], [0, 2], [0, 1]])[facing]
+    places = np.take_along_axis(corners, axes[:, None, :].repeat(3, axis=1), axis=2)
+    extent = np.ptp(places, axis=1)
+    plain = (extent < NARROW_M) & (extent[:, ::-1] > NARROW_M)
+    plain[facing != 2, 1] = True
+    # Of both triangles of a rectangle the same.
+    middle = (places.min(axis=1) + places.max(axis=1)) / 2
+    middle = (np.floor(middle * PLATES / TEXTURE_M) + 0.5) * TEXTURE_M / PLATES
+    return np.where(plain[:, None], middle[:, None], places).reshape(-1, 2)
+
+
+def shades(vertices: np.ndarray) -> np.ndarray:
+    """(n,) brightness of triangles' corners (n, 3), three by three: upright faces darken with depth, as in a hole."""
+    corners = vertices.reshape(-1, 3, 3)
+    normal = _normals(corners)
+    upright = np.abs(normal[:, 2]) < 0.3 * np.linalg.norm(normal, axis=1)
+    depth = corners[..., 2].max(axis=1, keepdims=True) - corners[..., 2]
+    return np.where(upright[:, None], SIDE * np.exp(-depth / DARKENING_M), 1.0).reshape(-1)
+
+
+def _normals(corners: np.ndarray) -> np.ndarray:
+    """(n, 3) normals of triangles (n, 3, 3), as long as twice their areas."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 @lru_cache(maxsize=1)

@@ -13,6 +13,8 @@ DEFAULT = "joystick"
 EXPORTED = ".onnx"
 POLICY_NAME = "policy.pt"
 """File of the network in a run folder."""
+CONFIG_NAME = "config.json"
+"""What it was trained with, beside it."""
 DIFFICULTY_NAME = "difficulty.json"
 """What `arrive eval --protocol difficulty` found, beside it."""
 RUNS = Path("runs")

@@ -18,6 +18,7 @@ Colour = tuple[float, float, float]
 START: Colour = (0.62, 0.67, 0.62)
 LIGHT: Colour = (0.70, 0.69, 0.66)
 DARK: Colour = (0.55, 0.56, 0.57)
+SHADED: Colour = (0.64, 0.63, 0.61)
 EARTH: Colour = (0.67, 0.61, 0.53)
 ABYSS: Colour = (0.20, 0.21, 0.24)
 ACCENT: Colour = (0.80, 0.48, 0.32)

@@ -7,7 +7,7 @@ import numpy as np
 
 from arrive.terrain.family import Family, Layout
 from arrive.terrain.rasterise import assemble, beyond_x, inside_square
-from arrive.terrain.shapes import DARK, GROUND_HALF, LIGHT, START, WHOLE, block, evaluation_span, frame, square
+from arrive.terrain.shapes import GROUND_HALF, LIGHT, SHADED, START, WHOLE, block, evaluation_span, frame, square
 from arrive.terrain.tile import Box, Tile
 
 TREAD = 0.31
@@ -58,7 +58,7 @@ def _flight(height_per_step: float, start: float) -> list[list[Box]]:
 def _colour(step: int) -> tuple[float, float, float]:
     if step == 0:
         return START
-    return DARK if step % 2 else LIGHT
+    return SHADED if step % 2 else LIGHT
 
 
 STAIRS = Family("stairs", "stairs up", "rise", "m", 0.01, 0.45, partial(build, direction=1), random=False)
