@@ -121,7 +121,7 @@ class ArriveEnv(VecEnv):
         self.curriculum = LevelCurriculum(num_levels, self._generator)
         if self._assignment is not None:
             self.curriculum.levels = self._assignment[1]
-        self.exploration = ExplorationSwitch(self.family_of_env)
+        self.exploration = ExplorationSwitch(self.family_of_env, self.max_episode_length)
 
     def settle(self, levels: dict[str, Tensor]) -> None:
         """Start every robot's first episode again, at levels drawn from those of an earlier run.

@@ -495,6 +495,17 @@ def test_a_fresh_run_does_not_judge_exploration_by_its_shortened_episodes():
     assert float(env.exploration.state_dict()["sums"][1]) == 0.0
 
 
+def test_nothing_is_decided_before_the_longest_first_episode_could_have_ended():
+    """Robots that stand near their targets and are looked at before they can crash would end the reward at once."""
+    switch = ExplorationSwitch(torch.tensor([0]), first_steps=400)
+    feed(switch, [(0.0, 0.5)], steps=399)
+    assert switch.paid == 1.0
+    feed(switch, [(0.0, 0.5)], steps=1)
+    assert switch.paid == 0.0
+    env = build_env(Config(num_envs=2, task=replace(TASK, episode_s=8.0), terrain=TerrainConfig(variants=1)), threads=1)
+    assert ExplorationSwitch.CHECK_STEPS - env.exploration.state_dict()["steps"] == 400
+
+
 def test_full_episodes_do_count_for_exploration():
     config = Config(num_envs=2, task=TASK, terrain=TerrainConfig(variants=1))
     assignment = (torch.zeros(2, dtype=torch.long), torch.zeros(2, dtype=torch.long))

@@ -78,11 +78,13 @@ class ExplorationSwitch:
     CHECK_STEPS = 50
     """Policy steps between decisions: one reward window of 1 s."""
 
-    def __init__(self, family_of_env: Tensor):
+    def __init__(self, family_of_env: Tensor, first_steps: int = CHECK_STEPS):
         """Start with the reward paid on every family.
 
         Args:
             family_of_env: (num_envs,) index of each robot's terrain family.
+            first_steps: policy steps before the first decision. A run's first episodes are cut short, and those that
+                end first have had no time to crash: robots that only stand near their targets would decide.
         """
         self._family_of_env = family_of_env
         self._families = families = int(family_of_env.max()) + 1
@@ -92,7 +94,7 @@ class ExplorationSwitch:
         self.fractions = torch.full((families,), torch.nan, device=device)
         """(families,) mean task reward over its maximum, at the last decision that had samples."""
         self._sums = torch.zeros(2, families, device=device)
-        self._steps = 0
+        self._steps = self.CHECK_STEPS - first_steps
 
     @property
     def factor(self) -> Tensor:
@@ -110,7 +112,7 @@ class ExplorationSwitch:
         return float(self.fractions.nanmean().nan_to_num())
 
     def record(self, share: Tensor, weight: Tensor) -> None:
-        """Add one policy step to the mean, and decide every CHECK_STEPS steps.
+        """Add one policy step to the mean, and decide every CHECK_STEPS steps, the first time later.
 
         Args:
             share: (num_envs,) task reward over its maximum.
