@@ -49,8 +49,11 @@ def register_term(name: str, meaning: TermMeaning) -> None:
 class Timed(Protocol):
     """A task with a reward window: its configuration in training, or its description in an exported file."""
 
-    reward_window_s: float
-    episode_s: float
+    @property
+    def reward_window_s(self) -> float: ...
+
+    @property
+    def episode_s(self) -> float: ...
 
 
 def hold_time(task: Timed) -> float:

@@ -13,11 +13,6 @@ class ContinuousConfig(PositionConfig):
     name: Literal["continuous"] = "continuous"
     """The task, see `arrive list tasks`."""
 
-    @property
-    def reward_window_s(self) -> float:
-        """The whole episode [s]."""
-        return self.episode_s
-
 
 class ContinuousPositionTask(FinalPositionTask):
     """Position targets, with the task reward paid at every step: `final` with T_r = T."""

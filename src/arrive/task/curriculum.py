@@ -1,6 +1,7 @@
 """The curriculum: terrain levels that follow success, and the exploration reward that is removed in time."""
 
 from collections.abc import Callable
+from typing import TypedDict
 
 import torch
 from torch import Tensor
@@ -63,6 +64,15 @@ class LevelCurriculum:
         beyond = moved >= self._num_levels
         anywhere = self._draw(self._num_levels).long()
         self.levels = torch.where(beyond, anywhere, moved.clamp(min=0))
+
+
+class SwitchState(TypedDict):
+    """The decisions and running sums of an `ExplorationSwitch` in a checkpoint."""
+
+    active: Tensor
+    fractions: Tensor
+    sums: Tensor
+    steps: int
 
 
 class ExplorationSwitch:
@@ -138,7 +148,7 @@ class ExplorationSwitch:
         self._sums.zero_()
         self._steps = 0
 
-    def state_dict(self) -> dict[str, Tensor | int]:
+    def state_dict(self) -> SwitchState:
         """The decisions so far and the running sums."""
         return {
             "active": self.active.clone(),
@@ -147,6 +157,6 @@ class ExplorationSwitch:
             "steps": self._steps,
         }
 
-    def load_state_dict(self, state: dict[str, Tensor | int]) -> None:
+    def load_state_dict(self, state: SwitchState) -> None:
         self.active, self.fractions = state["active"].clone(), state["fractions"].clone()
         self._sums, self._steps = state["sums"].clone(), state["steps"]

@@ -1,7 +1,7 @@
 """Final-position tracking: be at the target when the time is up (paper, section Method)."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import torch
 from torch import Tensor
@@ -51,6 +51,11 @@ class PositionConfig(TaskConfig):
     """Share of those new targets that are at the robot's own position, which tells it to stop."""
     rewards: PositionRewards = PositionRewards()
 
+    @property
+    def reward_window_s(self) -> float:
+        """Duration of the task reward at the end of an episode: all of it [s]."""
+        return self.episode_s
+
     def rules(self) -> tuple[Rule, ...]:
         """Conditions between fields."""
         shortest, longest = self.episode_min_s, self.episode_s
@@ -88,7 +93,7 @@ def arrival_radius(task: TaskConfig) -> float:
 class FinalPositionTask:
     """Position targets with a deadline."""
 
-    Config = FinalConfig
+    Config: ClassVar[type[TaskConfig]] = FinalConfig
     sides = (("target", 0), ("target", 1))
     bootstraps = False
 
@@ -174,9 +179,8 @@ class FinalPositionTask:
         if isinstance(self._trial, Cruise):
             point = start.base_pos_w[:, :2] + self._trial.offset_w[start.env_ids]
         else:
-            point = self._trial.target
-            if not isinstance(point, Tensor):
-                point = torch.tensor(point).expand(len(self._tile_ids), 2)
+            target = self._trial.target
+            point = target if isinstance(target, Tensor) else torch.tensor(target).expand(len(self._tile_ids), 2)
             point = next_valid(self._rasters, start.tile_ids, point.to(start.base_pos_w.device)[start.env_ids])
         ground = look_up(self._rasters.heights, start.tile_ids, point.unsqueeze(1))
         return torch.cat([point, ground + self._config.target_height], dim=-1)

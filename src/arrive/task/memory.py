@@ -44,18 +44,21 @@ class Memory:
     def blank(cls, num_envs: int, robot: Robot, device: torch.device) -> Self:
         """The memory before the first reset."""
         joints, feet = len(robot.joint_names), len(robot.foot_sites)
-        flags = {"dtype": torch.bool, "device": device}
+
+        def flags(*shape: int) -> Tensor:
+            return torch.zeros(*shape, dtype=torch.bool, device=device)
+
         return cls(
             action=torch.zeros(num_envs, joints, device=device),
             previous_action=torch.zeros(num_envs, joints, device=device),
             joint_vel=torch.zeros(num_envs, joints, device=device),
             foot_vel=torch.zeros(num_envs, feet, 3, device=device),
             foot_air_s=torch.zeros(num_envs, feet, device=device),
-            foot_touched=torch.zeros(num_envs, feet, **flags),
-            fresh=torch.ones(num_envs, **flags),
-            moved=torch.zeros(num_envs, **flags),
-            shortened=torch.zeros(num_envs, **flags),
-            retired=torch.zeros(num_envs, **flags),
+            foot_touched=flags(num_envs, feet),
+            fresh=~flags(num_envs),
+            moved=flags(num_envs),
+            shortened=flags(num_envs),
+            retired=flags(num_envs),
             tile=torch.zeros(num_envs, dtype=torch.long, device=device),
             level=torch.zeros(num_envs, dtype=torch.long, device=device),
         )

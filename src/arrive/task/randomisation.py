@@ -47,7 +47,10 @@ def start_states(
         (n, 7 + joints) positions and (n, 6 + joints) velocities in MuJoCo's order [m, rad, m/s, rad/s], float64.
     """
     joints, device = len(robot.joint_names), generator.device
-    signed = lambda *shape: 2.0 * torch.rand(*shape, generator=generator, device=device) - 1.0  # noqa: E731
+
+    def signed(*shape: int) -> Tensor:
+        return 2.0 * torch.rand(*shape, generator=generator, device=device) - 1.0
+
     position = torch.zeros(n, 3, device=device)
     position[:, :2] = config.start_offset * signed(n, 2)
     position[:, 2] = robot.standing_height + SPAWN_CLEARANCE * robot.size

@@ -23,10 +23,17 @@ REACH = RASTER_HALF - EDGE
 class Spread(Protocol):
     """The fields of a task's configuration that say which targets to draw."""
 
-    target_distance: tuple[float, float]
-    target_height: float
-    crossing_share: float
-    nearest_share: float
+    @property
+    def target_distance(self) -> tuple[float, float]: ...
+
+    @property
+    def target_height(self) -> float: ...
+
+    @property
+    def crossing_share(self) -> float: ...
+
+    @property
+    def nearest_share(self) -> float: ...
 
 
 def sample_targets(

@@ -19,11 +19,11 @@ class TaskConfig:
     kinds: ClassVar[dict[str, "type[TaskConfig]"]] = {}
     """Configuration classes by task name. `Config.task` is an instance of one of them."""
 
-    name: str
+    name: str = ""
     """The task, see `arrive list tasks`."""
-    episode_s: float
+    episode_s: float = 6.0
     """Longest episode [s]."""
-    rewards: Any
+    rewards: Any = None
     """The reward terms with their weights and parameters."""
 
     def measured(self) -> Self:
@@ -112,9 +112,9 @@ class Task(Protocol):
     """Commands, their observation, the available rewards, and the criterion for success."""
 
     Config: ClassVar[type[TaskConfig]]
-    sides: ClassVar[tuple[tuple[str, int], tuple[str, int]]]
+    sides: tuple[tuple[str, int], tuple[str, int]]
     """Observation entries (term, index) that are positive when the command points forward, and to the left."""
-    bootstraps: ClassVar[bool]
+    bootstraps: bool
     """Whether to bootstrap the value at a time-out. True for tasks that do not observe the time left. The paper argues
     against bootstrapping where the time is observed."""
 

@@ -7,7 +7,7 @@ motion and their weights come from the preset, as for the position tasks.
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -155,7 +155,7 @@ class VelocityConfig(TaskConfig):
 class VelocityTask:
     """Forward speed and heading to follow until the episode ends."""
 
-    Config = VelocityConfig
+    Config: ClassVar[type[TaskConfig]] = VelocityConfig
     sides = (("speed_command", 0), ("yaw_rate_command", 0))
     bootstraps = True
 
