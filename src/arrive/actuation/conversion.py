@@ -21,8 +21,8 @@ def read_lstm_arrays(path: Path, period_s: float, data: str) -> ActuatorNetwork:
     scales = [arrays.pop(name, np.empty(0)).ravel() for name in ("in_scale", "out_scale")]
     if [len(scale) for scale in scales] != [2, 1]:
         raise ArriveError(f"{path}: in_scale must have two values, for error and velocity, and out_scale one")
-    numbers = [float(value) for scale in scales for value in scale]
+    error, velocity, torque = (float(value) for scale in scales for value in scale)
     try:
-        return ActuatorNetwork("lstm", arrays, period_s, *numbers, data=data)
-    except ArriveError as error:
-        raise ArriveError(f"{path}: {error}") from error
+        return ActuatorNetwork("lstm", arrays, period_s, error, velocity, torque, data=data)
+    except ArriveError as problem:
+        raise ArriveError(f"{path}: {problem}") from problem

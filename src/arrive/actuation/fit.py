@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -133,13 +133,13 @@ def fit(
     module = _make_module(config, period)
     epochs = _train(module, split, scales, config, progress)
     weights = {name: value.detach().numpy().copy() for name, value in module.state_dict().items()}
-    description = {"taps_s": config.taps_s if config.architecture == "taps" else (), "data": data}
-    network = ActuatorNetwork(config.architecture, weights, period, *scales, **description)
+    taps_s = config.taps_s if config.architecture == "taps" else ()
+    network = ActuatorNetwork(config.architecture, weights, period, *scales, taps_s=taps_s, data=data)
     predicted = [predict(network, trajectory) for trajectory in split.test]
     errors = _errors(split.test, predicted)
     gains = _best_pd(split.train)
     return Fit(
-        ActuatorNetwork(config.architecture, weights, period, *scales, **description, error_nm=errors.rms_nm),
+        replace(network, error_nm=errors.rms_nm),
         errors,
         _errors(split.test, [_pd(gains, trajectory) for trajectory in split.test]),
         (float(gains[0]), float(gains[1])),
@@ -190,7 +190,8 @@ def _windows(trajectories: Sequence[Trajectory], scales: tuple[float, float, flo
         for start in range(0, table.shape[1] - length + 1, length - skip):
             inputs.append(table[:2, start : start + length].T)
             torques.append(table[2, start : start + length])
-    return tuple(torch.from_numpy(np.array(part, dtype=np.float32)) for part in (inputs, torques))
+    first, second = (torch.from_numpy(np.array(part, dtype=np.float32)) for part in (inputs, torques))
+    return first, second
 
 
 def _train(

@@ -46,7 +46,7 @@ class ActuatorNetwork:
     error_nm: float | None = None
     """RMS error on trajectories held out from training [N m]; None where nobody has measured it."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("period_s", "error_scale", "velocity_scale", "torque_scale"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ArriveError(f"{name} must be positive and finite, not {getattr(self, name)}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -90,7 +91,7 @@ def draw_responses(path: Path, drives: Sequence[Drive], motor: Motor, inertia: f
     _save(figure, path)
 
 
-def _draw_frequencies(gain: Axes, phase: Axes, drive: Drive, style: dict) -> None:
+def _draw_frequencies(gain: Axes, phase: Axes, drive: Drive, style: dict[str, Any]) -> None:
     frequencies = np.geomspace(0.5, min(50.0, 0.4 / drive.period_s), 30)
     answer = frequency_response(drive, frequencies, SINE_RAD)
     gain.plot(frequencies, np.abs(answer), **style)

@@ -15,6 +15,6 @@ def silence_mujoco() -> None:
     The warning handler must be a C function, because worker threads call it without Python's lock. strlen takes the
     same argument and has no effect.
     """
-    library = ctypes.CDLL(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
+    library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
     handler = ctypes.c_void_p.in_dll(library, "mju_user_warning")
     handler.value = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value

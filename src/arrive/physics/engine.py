@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    import mujoco
     import torch
     from torch import Tensor
 
@@ -51,6 +52,9 @@ class Physics(Protocol):
 
     num_envs: int
     device: torch.device
+
+    def model_of_env(self, env_id: int) -> mujoco.MjModel:
+        """The compiled world an environment is in."""
 
     def place(self, env_ids: Tensor, world_ids: Tensor) -> None:
         """Move environments to worlds, by index into the list of compiled worlds."""

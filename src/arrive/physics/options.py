@@ -54,7 +54,7 @@ class PhysicsConfig:
     max_contacts: Count = 64
     """Room for contacts per robot in MuJoCo Warp. The CPU engine needs no limit."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if (self.motor == "network") != bool(self.motor_file):
             raise ArriveError(
                 "physics.motor=network and physics.motor_file=FILE go together; physics.motor is "

@@ -131,7 +131,7 @@ class ContactCount:
         for counter, name in enumerate(bodies):
             counter_of_body[model.body(name).id] = counter
         self._data = data
-        self._counter_of_geom = wp.array(counter_of_body[model.geom_bodyid], dtype=int)
+        self._counter_of_geom: wp.array[int] = wp.array(counter_of_body[model.geom_bodyid], dtype=int)
         self._counts = wp.zeros((data.nworld, len(bodies)), dtype=float)
         self._view = wp.to_torch(self._counts)
         self._columns = [
