@@ -76,7 +76,7 @@ class Controller:
         self._last_now_s: float | None = None
 
     def step(
-        self, sensors: Sensors, goal: Goal, terrain: GridHeights | HeightMap | PointCloud, now_s: float
+        self, sensors: Sensors, goal: Goal | None, terrain: GridHeights | HeightMap | PointCloud, now_s: float
     ) -> JointCommand:
         """One control step, to be called every `policy.period_s`. It never raises because of its arguments.
 

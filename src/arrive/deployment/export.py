@@ -148,7 +148,7 @@ def _schema(config: Config, robot: Robot) -> list[dict[str, Any]]:
 class _Graph:
     """An ONNX graph under construction: constants and nodes."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[TensorProto] = []
 
@@ -164,7 +164,8 @@ class _Graph:
 def _model(network: Network) -> onnx.ModelProto:
     """The network with a free batch size."""
     graph = _Graph()
-    value, needed = INPUT, []
+    value = INPUT
+    needed: list[str] = []
     if network.facing is not None:
         value, needed = _reflect_observation(graph, network.facing)
     value = _layers(graph, network.mlp, value)

@@ -36,7 +36,7 @@ class Target:
     arrive_at_s: float
     """Time of arrival on the clock of `now_s` [s]."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _set(self, position_w=_point(self.position_w), arrive_at_s=number(self.arrive_at_s))
 
 
@@ -51,7 +51,7 @@ class Joystick:
     heading_rad: float | None = None
     """Heading in the world to which `forward` refers, e.g. the operator's; None for the robot's own [rad]."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         heading = None if self.heading_rad is None else number(self.heading_rad)
         _set(self, forward=number(self.forward), left=number(self.left), heading_rad=heading)
 
@@ -67,7 +67,7 @@ class WayPoints:
     radius: float = 0.5
     """A point is passed once the base is horizontally this close to it [m]."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         try:
             points = tuple(_point(point) for point in self.points_w)
         except Exception:
@@ -264,16 +264,16 @@ class Navigator:
         while self._passed < last and math.dist(path.points_w[self._passed][:2], pos[:2]) <= path.radius:
             self._passed += 1
             self._deadline_s = self._arrival(path, pos, now_s)
-        point = np.array(path.points_w[self._passed])
+        goal = np.array(path.points_w[self._passed])
         if self._passed == last:
-            return self._reach_for(point, self._deadline_s, pos, now_s, "way_points")
-        way = point[:2] - pos[:2]
+            return self._reach_for(goal, self._deadline_s, pos, now_s, "way_points")
+        way = goal[:2] - pos[:2]
         # The direction is undefined at the point itself. Unless the radius is 0, the next point takes over before.
         ahead = pos[:2] + way * (JOYSTICK_DISTANCE / max(float(np.linalg.norm(way)), 1e-6))
         left = JOYSTICK_DISTANCE / self._walk(path.speed)
         if self._task.name == "continuous":
             left = self._hold_s
-        return Order(np.array([*ahead, point[2]]), left, "way_points", f"{self._passed + 1} of {last + 1}")
+        return Order(np.array([*ahead, goal[2]]), left, "way_points", f"{self._passed + 1} of {last + 1}")
 
     def _arrival(self, path: WayPoints, pos: np.ndarray, now_s: float) -> float:
         """Time at which the last point would be reached if it were next [s]."""

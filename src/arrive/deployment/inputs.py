@@ -64,7 +64,7 @@ def numbers(value: Any) -> np.ndarray:
     """A copy as float64, or an empty array if it is not made of real numbers. Masked entries become NaN."""
     try:
         if isinstance(value, np.ma.MaskedArray):
-            value = value.astype(np.float64).filled(np.nan)
+            value = np.ma.filled(value.astype(np.float64), np.nan)
         return NOTHING if np.iscomplexobj(value) else np.array(value, dtype=np.float64)
     except Exception:  # a control loop must outlive whatever a driver hands over
         return NOTHING

@@ -22,7 +22,7 @@ KINDS = {kind.__name__: kind for kind in GOALS}
 class ControlLog:
     """Records inputs and commands, about 2 kB per step. Of a map or a point cloud it keeps the grid's heights."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         """Start empty."""
         self.policy_digest = ""
         self.frames: list[Frame] = []

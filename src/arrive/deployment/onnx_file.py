@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ LARGEST_FILE = 256 * 2**20
 """Larger files are refused. A policy file has some hundred kB [bytes]."""
 
 VARINT, BYTES, FIXED32 = 0, 2, 5
-NUMBER_TYPES = {1: np.dtype("<f4"), 7: np.dtype("<i8")}
+NUMBER_TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f4"), 7: np.dtype("<i8")}
 """TensorProto.DataType: FLOAT for weights and INT64 for indices."""
 MODEL = {1: "ir_version", 2: "producer_name", 3: "producer_version", 4: "domain", 5: "model_version", 6: "doc_string",
          7: "graph", 8: "opset_import", 14: "metadata_props"}  # fmt: skip
@@ -127,11 +128,11 @@ def _read_model(body: memoryview) -> tuple[dict[str, str], dict[str, np.ndarray]
     for name, value in _fields(body, MODEL, "ModelProto"):
         if name == "graph":
             graphs += 1
-            weights = _read_graph(value)
-        elif name == "opset_import" and _one(value, OPSET, "OperatorSetIdProto").get("domain", b""):
+            weights = _read_graph(_bytes(value))
+        elif name == "opset_import" and _one(_bytes(value), OPSET, "OperatorSetIdProto").get("domain"):
             raise Damaged("it asks for foreign operators")
         elif name == "metadata_props":
-            entry = _one(value, ENTRY, "StringStringEntryProto")
+            entry = _one(_bytes(value), ENTRY, "StringStringEntryProto")
             key = bytes(entry.get("key", b"")).decode()
             if key in metadata:
                 raise Damaged(f"its metadata has {key!r} twice")
@@ -146,9 +147,9 @@ def _read_graph(graph: memoryview) -> dict[str, np.ndarray]:
     weights, nodes = {}, []
     for name, value in _fields(graph, GRAPH, "GraphProto"):
         if name == "node":
-            nodes.append(_read_node(value))
+            nodes.append(_read_node(_bytes(value)))
         elif name == "initializer":
-            label, array = _read_tensor(value)
+            label, array = _read_tensor(_bytes(value))
             if label in weights:
                 raise Damaged(f"it has two weights {label!r}")
             weights[label] = array
@@ -168,7 +169,7 @@ def _read_node(node: memoryview) -> tuple[str, list[str]]:
         elif name == "domain" and value:
             raise Damaged("it has a foreign operator")
         elif name == "attribute":
-            attribute = _one(value, ATTRIBUTE, "AttributeProto")
+            attribute = _one(_bytes(value), ATTRIBUTE, "AttributeProto")
             attributes[bytes(attribute.get("name", b"")).decode()] = attribute.get("i")
     if operator not in OPERATORS:
         raise Damaged(f"it has the operator {operator!r}, policies have {', '.join(OPERATORS)}")
@@ -192,7 +193,8 @@ def _check_growth(operator: str, inputs: list[str], weights: dict[str, np.ndarra
 
 def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
     """Name and values of weights or indices. Their data must be in the file."""
-    dims, one = [], {}
+    dims: list[int] = []
+    one: dict[str, int | memoryview] = {}
     for name, value in _fields(tensor, TENSOR, "TensorProto"):
         if name == "dims":
             # Several in one field, or one field each.
@@ -202,7 +204,8 @@ def _read_tensor(tensor: memoryview) -> tuple[str, np.ndarray]:
     label, data = bytes(one.get("name", b"")).decode(), one.get("raw_data")
     if one.get("data_location", 0) != 0:
         raise Damaged(f"the weights {label!r} are external data")
-    kind = NUMBER_TYPES.get(one.get("data_type"))
+    code = one.get("data_type")
+    kind = NUMBER_TYPES.get(code) if isinstance(code, int) else None
     if kind is None or not isinstance(data, memoryview):
         raise Damaged(f"the weights {label!r} are neither 32-bit floating-point numbers nor 64-bit indices")
     if not all(dims) or len(data) != kind.itemsize * math.prod(dims):
@@ -248,6 +251,12 @@ def _fields(message: memoryview, known: dict[int, str], kind: str) -> Iterator[t
 
 def _wire_of(name: str) -> int:
     return VARINT if name in NUMBERS else FIXED32 if name == "f" else BYTES
+
+
+def _bytes(value: int | memoryview) -> memoryview:
+    """The value of a field that `_fields` has found to be bytes."""
+    assert isinstance(value, memoryview)
+    return value
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:

@@ -143,9 +143,9 @@ def _check_golden(file: PolicyFile) -> None:
         found = file.act(observations)
     except Exception as error:  # whatever a network that is none makes onnxruntime raise
         raise Implausible(f"its network does not run ({type(error).__name__})") from error
-    error = np.abs(found - expected).max() / max(1.0, np.abs(expected).max())
-    if not error <= TOLERANCE:
+    deviation = np.abs(found - expected).max() / max(1.0, np.abs(expected).max())
+    if not deviation <= TOLERANCE:
         raise ArriveError(
             f"{file.path} does not reproduce its golden pairs: golden actions differ by "
-            f"{error:.2g}, more than {TOLERANCE:g}. The network was changed, or onnxruntime does not work here."
+            f"{deviation:.2g}, more than {TOLERANCE:g}. The network was changed, or onnxruntime does not work here."
         )

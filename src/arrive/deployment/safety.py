@@ -45,7 +45,7 @@ class Safety:
     """If the base is this much higher or lower above the ground than when standing, base and heights are in different
     frames or units [m]."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check the values.
 
         Raises:

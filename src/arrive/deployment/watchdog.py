@@ -1,6 +1,7 @@
 """Checks in every step whether the inputs are plausible."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +68,7 @@ class Watchdog:
         return Verdict(fault, sensors is None)
 
     @staticmethod
-    def _first_fault(frame: Frame, *checks) -> BadInput | None:
+    def _first_fault(frame: Frame, *checks: Callable[[Frame], None]) -> BadInput | None:
         try:
             for check in checks:
                 check(frame)
