@@ -1,6 +1,7 @@
 """The vectorised environment: one step is a short list of named phases."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from rsl_rl.env import VecEnv
@@ -148,7 +149,7 @@ class ArriveEnv(VecEnv):
         """(num_envs,) bool: robots that are no longer simulated."""
         return self.memory.retired
 
-    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
         """Advance every robot by one policy step. Robots whose episode ended start the next one.
 
         Args:
@@ -277,7 +278,7 @@ class ArriveEnv(VecEnv):
         """Share of the robots that still get the exploration reward; 0 if no term guides them to the target."""
         return self.exploration.paid if self.rewarder.leads else 0.0
 
-    def _extras(self, endings: Endings) -> dict:
+    def _extras(self, endings: Endings) -> dict[str, Tensor]:
         return {"time_outs": endings.timed_out.float()} if self.task.bootstraps else {}
 
     def _uniform(self, *shape: int) -> Tensor:
@@ -285,7 +286,7 @@ class ArriveEnv(VecEnv):
 
     # Exact resume.
 
-    def state_dict(self) -> dict:
+    def state_dict(self) -> dict[str, Any]:
         """Everything that an exact resume needs."""
         return {
             "physics": self.physics.state_dict(),
@@ -297,7 +298,7 @@ class ArriveEnv(VecEnv):
             "generator": self._generator.get_state(),
         }
 
-    def load_state_dict(self, state: dict) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume exactly from the `state_dict` of an environment with the same configuration."""
         self.physics.load_state_dict(state["physics"])
         self.task.load_state_dict(state["task"])

@@ -165,9 +165,10 @@ def split_range(hint: Any) -> tuple[Any, Range]:
 
 def rows(config: Any, where: str = "") -> Iterator[Row]:
     """Every field of a configuration with its value."""
-    words = documentation(type(config))
+    kind: type = type(config)
+    words = documentation(kind)
     meanings = {row.name: row.metadata.get("meaning", "") for row in dataclasses.fields(config)}
-    for name, hint in hints_of(type(config)).items():
+    for name, hint in hints_of(kind).items():
         value = getattr(config, name)
         if not dataclasses.is_dataclass(value):
             meaning = words.get(name, "")
@@ -191,9 +192,10 @@ def documentation(kind: type) -> dict[str, str]:
     """The documentation strings below a dataclass's fields, including those of its base classes."""
     words: dict[str, str] = {}
     for owner in reversed([base for base in kind.__mro__ if dataclasses.is_dataclass(base)]):
-        body = ast.parse(textwrap.dedent(inspect.getsource(owner))).body[0].body
-        for field, below in itertools.pairwise(body):
-            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+        tree = ast.parse(textwrap.dedent(inspect.getsource(owner))).body[0]
+        assert isinstance(tree, ast.ClassDef)
+        for field, below in itertools.pairwise(tree.body):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
                 words[field.target.id] = " ".join(ast.literal_eval(below.value).split())
     return words
 
@@ -287,7 +289,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     hint, _ = split_range(hint)
     if isinstance(hint, type) and (kinds := vars(hint).get("kinds")):
         return _choose(kinds, value, where)
-    if dataclasses.is_dataclass(hint):
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         if hasattr(hint, "MAIN") and not isinstance(value, dict):
             value = {hint.MAIN: value}
         if not isinstance(value, dict):
@@ -319,7 +321,7 @@ def _choose(kinds: dict[str, type], value: Any, where: str) -> Any:
         raise ArriveError(f"{error} ({where} {name!r})") from None
 
 
-def _convert_tuple(hint: Any, value: Any, where: str) -> tuple:
+def _convert_tuple(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
         raise ArriveError(f"{where} must be a list, not {value!r}")
     kinds = get_args(hint)

@@ -53,6 +53,8 @@ def import_module(source: str) -> ModuleType:
 
 def _run_file(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None  # a file that ends in .py has both
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:

@@ -74,6 +74,7 @@ def robust() -> Config:
 def joystick() -> Config:
     """For a policy driven by a joystick: targets that change often, and a reward for walking at the commanded speed."""
     config = robust()
+    assert isinstance(config.task, FinalConfig)
     task = replace(
         config.task,
         episode_min_s=2.0,

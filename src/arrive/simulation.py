@@ -41,8 +41,8 @@ def continued(tile: Tile) -> Tile:
     """
     if tile.height_field is not None:
         return tile
-    boxes = tuple(_drawn_out(box) for box in tile.boxes)
-    return tile if None in boxes else replace(tile, boxes=boxes)
+    boxes = tuple(drawn for box in tile.boxes if (drawn := _drawn_out(box)) is not None)
+    return replace(tile, boxes=boxes) if len(boxes) == len(tile.boxes) else tile
 
 
 def _drawn_out(box: Box) -> Box | None:

@@ -8,6 +8,7 @@ Values of the task (distances, episode lengths, arrival radius) are not scaled.
 from dataclasses import replace
 
 from arrive.config import Config
+from arrive.fields import Interval
 from arrive.robots.robot import Robot
 from arrive.task.final import PositionConfig
 from arrive.task.rewards import Cost
@@ -39,7 +40,7 @@ def for_robot(config: Config, robot: Robot) -> Config:
                 heights,
                 noise=_scaled(heights.noise, size),
                 scale=_scaled(heights.scale, 1.0 / size),
-                clip=tuple(_scaled(height, size) for height in heights.clip),
+                clip=_scaled_pair(heights.clip, size),
                 length=_scaled(heights.length, size),
                 width=_scaled(heights.width, size),
                 step=_scaled(heights.step, size),
@@ -47,12 +48,16 @@ def for_robot(config: Config, robot: Robot) -> Config:
         ),
         randomisation=replace(
             random,
-            payload_kg=tuple(_scaled(payload, mass) for payload in random.payload_kg),
+            payload_kg=_scaled_pair(random.payload_kg, mass),
             push_speed=_scaled(random.push_speed, size**0.5),
             start_offset=_scaled(random.start_offset, size),
         ),
         task=task,
     )
+
+
+def _scaled_pair(pair: Interval, factor: float) -> Interval:
+    return _scaled(pair[0], factor), _scaled(pair[1], factor)
 
 
 def _scaled(value: float, factor: float) -> float:
