@@ -1,6 +1,7 @@
 """Draws the curves of a run from its log as one picture."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def _draw(log: Log) -> Figure:
         below = {"top": split - edge, "bottom": 1.4 * edge, "hspace": 0.6, "wspace": 0.22}
         grid = figure.add_gridspec(rows, SMALL_COLUMNS, left=0.06, right=0.98, **below)
         for place, name in enumerate(small):
-            _panel(figure, grid[divmod(place, SMALL_COLUMNS)], log, lambda axes, name=name: _learning(axes, log, name))
+            _panel(figure, grid[divmod(place, SMALL_COLUMNS)], log, partial(_learning, log=log, name=name))
     return figure
 
 

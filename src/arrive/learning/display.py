@@ -67,7 +67,9 @@ class TrainingDisplay:
         self._failed = True
         warnings.warn(f"the training display stopped: {error}", RuntimeWarning, stacklevel=3)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._failed:
             return
         try:
@@ -178,12 +180,12 @@ def _families(families: dict[str, FamilyReport], bars: str) -> Table:
     table.add_column("robots by level", no_wrap=True)
     table.add_column("main failures", no_wrap=True)
     for name, family in families.items():
+        mean, histogram = "", Text()
         if len(family.levels) > 1:
-            level = [f"{family.mean_level:.1f} of {len(family.levels) - 1}", level_bars(family.levels, bars)]
-        else:
-            level = ["", ""]
+            mean, histogram = f"{family.mean_level:.1f} of {len(family.levels) - 1}", level_bars(family.levels, bars)
         worst = _top(family.failures)[:1] if any(family.failures.values()) else []
-        table.add_row(name, _percent(family.arrival), *level, *(f"{cause} {_percent(share)}" for cause, share in worst))
+        failures = [f"{cause} {_percent(share)}" for cause, share in worst]
+        table.add_row(name, _percent(family.arrival), mean, histogram, *failures)
     return table
 
 

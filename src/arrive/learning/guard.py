@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -47,7 +48,7 @@ def check_losses(losses: dict[str, float], parameters: dict[str, Tensor]) -> Non
         raise NonFiniteError(f"non-finite after the update: {', '.join([*names, *broken])}", broken)
 
 
-def save_dump(folder: Path, iteration: int, error: NonFiniteError, state: dict) -> Path:
+def save_dump(folder: Path, iteration: int, error: NonFiniteError, state: dict[str, Any]) -> Path:
     """Save the non-finite values and the last good state for debugging."""
     path = folder / f"dump_{iteration}.pt"
     save_sealed({"what": str(error), "values": error.tensors, "state": state}, path)

@@ -14,6 +14,7 @@ from arrive.files import cannot_write, read_text, write_text
 from arrive.learning.report import IterationReport
 
 if TYPE_CHECKING:
+    from rsl_rl.utils.wandb_log_writer import WandbLogWriter
     from torch.utils.tensorboard import SummaryWriter
 
 LOG_NAME = "log.csv"
@@ -167,20 +168,23 @@ class RunLog:
     def describe(self, config: Config) -> None:
         """Send the run's configuration to Weights & Biases, if it is used."""
         if self._logger == "wandb":
-            self._events = self._open_events()
-            self._events.store_config(config, {})
+            events = self._open_wandb()
+            events.store_config(config, {})
+            self._events = events
 
     def _open_events(self) -> "SummaryWriter":
         # Imported here because it takes seconds and `arrive report` does not need it.
-        folder = self._folder / TENSORBOARD_NAME
         if self._logger == "wandb":
-            from rsl_rl.utils.wandb_log_writer import WandbLogWriter
-
-            # The writer uses the folder's name as the run's name.
-            return WandbLogWriter(str(folder / self._folder.resolve().name), PROJECT)
+            return self._open_wandb()
         from torch.utils.tensorboard import SummaryWriter
 
-        return SummaryWriter(str(folder), purge_step=self._purge_step, flush_secs=30)
+        return SummaryWriter(str(self._folder / TENSORBOARD_NAME), purge_step=self._purge_step, flush_secs=30)
+
+    def _open_wandb(self) -> "WandbLogWriter":
+        from rsl_rl.utils.wandb_log_writer import WandbLogWriter
+
+        # The writer uses the folder's name as the run's name.
+        return WandbLogWriter(str(self._folder / TENSORBOARD_NAME / self._folder.resolve().name), PROJECT)
 
 
 def has_wandb() -> bool:

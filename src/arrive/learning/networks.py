@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from rsl_rl.models import MLPModel
@@ -32,6 +32,12 @@ class MixedPrecision(nn.Sequential):
 
 class Facing(nn.Module):
     """Reflects observations so that the command points forward and to the left, and reflects the actions back."""
+
+    observation_index: Tensor
+    observation_sign: Tensor
+    action_index: Tensor
+    action_sign: Tensor
+    side: Tensor
 
     def __init__(self, count: int, observation_size: int, num_actions: int):
         """Allocate the maps of this many reflections. `set` or a state dict fills them."""
@@ -67,12 +73,14 @@ class Facing(nn.Module):
 class Network(MLPModel):
     """rsl_rl's model with precision and symmetry. Parameters keep rsl_rl's names."""
 
+    mlp: nn.Sequential
+
     def __init__(
         self,
-        *args,
+        *args: Any,
         precision: Precision = "float32",
         reflections: Sequence[Reflection] | int = 0,
-        **kwargs,
+        **kwargs: Any,
     ):
         """Build rsl_rl's model.
 
@@ -87,7 +95,9 @@ class Network(MLPModel):
         self.facing: Facing | None = None
         if isinstance(reflections, int):
             if reflections:
-                self.facing = Facing(reflections, self.obs_dim, self.mlp[-1].out_features)
+                last = self.mlp[-1]
+                assert isinstance(last, nn.Linear)
+                self.facing = Facing(reflections, self.obs_dim, last.out_features)
         elif reflections:
             self.facing = Facing(len(reflections), self.obs_dim, len(reflections[0].action_sign))
             self.facing.set(reflections)

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from typing import Any
 
 from rsl_rl.algorithms import PPO
 from tensordict import TensorDict
@@ -35,7 +36,7 @@ def make_actor(config: PPOConfig, observations: TensorDict, num_actions: int, re
     return Network(observations, {"actor": [POLICY]}, "actor", num_actions, **settings).eval()
 
 
-def _network_settings(config: PPOConfig) -> dict:
+def _network_settings(config: PPOConfig) -> dict[str, Any]:
     return {
         "hidden_dims": list(config.hidden),
         "activation": "elu",
@@ -43,13 +44,13 @@ def _network_settings(config: PPOConfig) -> dict:
     }
 
 
-def _noise_settings(config: PPOConfig) -> dict:
+def _noise_settings(config: PPOConfig) -> dict[str, Any]:
     return {
         "distribution_cfg": {"class_name": DISTRIBUTION_CLASS, "init_std": config.init_std, "std_type": "log"},
     }
 
 
-def _settings(config: PPOConfig, env: ArriveEnv, ranks: Ranks) -> dict:
+def _settings(config: PPOConfig, env: ArriveEnv, ranks: Ranks) -> dict[str, Any]:
     network = {"class_name": NETWORK_CLASS} | _network_settings(config)
     network["reflections"] = make_reflections(env) if config.symmetry else ()
     return {

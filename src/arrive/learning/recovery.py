@@ -42,7 +42,7 @@ class Recovery:
         Raises:
             NonFiniteError: a value in this process or another one is not finite.
         """
-        result, failure = None, None
+        failure: NonFiniteError | None = None
         try:
             result = phase()
         except NonFiniteError as error:

@@ -30,7 +30,7 @@ def warm_start(state: TrainingState, config: Config, start: Path | Policy) -> in
     Raises:
         ArriveError: it cannot be read, or its robot, observation or network size differs.
     """
-    samples = (_take_policy if isinstance(start, Policy) else _take_run)(state, config, start)
+    samples = _take_policy(state, config, start) if isinstance(start, Policy) else _take_run(state, config, start)
     state.observations = state.env.get_observations()
     return samples
 
