@@ -199,7 +199,11 @@ def evaluate(
         policy.check(env)
         watched = _one_per_cell(part, pictures) if setting.record else torch.tensor([], dtype=torch.long)
         acting = policy if pilot is None else pilot(env)
-        played.append(play(env, acting, watched, lambda i, n, index=index: progress(index * n + i, len(parts) * n)))
+
+        def told(done: int, total: int, index: int = index) -> None:
+            progress(index * total + done, len(parts) * total)
+
+        played.append(play(env, acting, watched, told))
         for column, env_id in enumerate(watched.tolist()):
             cell = int(part[env_id])
             pictures[cell] = episode(env, played[-1], column, cells[cell].caption)

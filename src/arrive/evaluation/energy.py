@@ -136,8 +136,16 @@ def walk(env: ArriveEnv, pilot: Pilot, motors: MeteredPhysics, way_m: float, pro
         progress(int(torch.where(waiting, way.clamp(0.0, way_m), way_m).sum()), round(n * way_m))
         if not bool(waiting.any()):
             break
-    sums = (motors.torque_sq, motors.positive_work, motors.absolute_work)
-    return Walks(way.cpu(), time_s, finished.cpu(), fell.cpu(), *(total.cpu() for total in sums), weight)
+    return Walks(
+        way_m=way.cpu(),
+        time_s=time_s,
+        finished=finished.cpu(),
+        fell=fell.cpu(),
+        torque_sq=motors.torque_sq.cpu(),
+        positive_work=motors.positive_work.cpu(),
+        absolute_work=motors.absolute_work.cpu(),
+        weight=weight,
+    )
 
 
 def _weights(env: ArriveEnv) -> Tensor:

@@ -120,11 +120,18 @@ def walk_steadily(env: ArriveEnv, pilot: Pilot, seconds: float, progress: Progre
             )
             rows.append([value.cpu().numpy().copy() for value in row])
         progress(step + 1, settle + steps)
-    return Record(*(np.stack(column) for column in zip(*rows, strict=True)), upright.cpu().numpy())
+    contact, velocity, yaw, height = (np.stack(column) for column in zip(*rows, strict=True))
+    return Record(contact, velocity, yaw, height, upright.cpu().numpy())
 
 
 def _part(record: Record, mine: slice) -> Record:
-    return Record(*(value[:, mine] for value in list(vars(record).values())[:-1]), record.upright[mine])
+    return Record(
+        record.contact[:, mine],
+        record.velocity[:, mine],
+        record.yaw[:, mine],
+        record.height[:, mine],
+        record.upright[mine],
+    )
 
 
 def describe_gait(record: Record, corners: np.ndarray, dt: float) -> dict[str, Any]:
@@ -215,8 +222,10 @@ def _motion(record: Record, mine: list[int], frequencies: list[float]) -> dict[s
 
 
 def _interval(values: np.ndarray) -> list[float]:
-    """Mean over robots and its 95 % interval."""
-    return [round(value, 5) for value in mean(torch.from_numpy(values.astype(float)))]
+    """Mean over robots, two or more, and its 95 % interval."""
+    interval = mean(torch.from_numpy(values.astype(float)))
+    assert interval is not None
+    return [round(value, 5) for value in interval]
 
 
 def foot_corners(robot: Robot) -> np.ndarray:

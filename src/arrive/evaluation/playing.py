@@ -79,6 +79,7 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lam
     for step in range(env.max_episode_length):
         observation = env.step(pilot.act(observation))[0][POLICY]
         poses.append(_poses(env, watched))
+        assert env.log.success is not None  # after a step
         played.reached[waiting & env.log.success.cpu() & (played.reached == 0)] = step + 1
         _note_ended(env, played, waiting, step + 1)
         meter.take(env.state, waiting, step + 1)
@@ -123,7 +124,7 @@ def episode(env: ArriveEnv, played: Played, column: int, caption: str) -> Episod
         model=compile_world(env.robot, tile, env.config.physics, visuals=True),
         # The last pose is left out: the robot has been reset by then.
         qpos=played.qpos[: int(played.steps[env_id]), column],
-        target_w=played.target_w[env_id].numpy(),
+        target_w=tuple(played.target_w[env_id].tolist()),
         target_radius=arrival_radius(env.config.task),
         control_dt=env.control_dt,
         outcome="arrived" if bool(played.success[env_id]) else played.cause[env_id],

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from arrive.config import Config, to_dict
+from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, Setting, evaluate
 from arrive.evaluation.difficulty import TRIAL, VARIANTS, describe, randomised
@@ -19,8 +19,7 @@ from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.policies.solved import solved_beside
-from arrive.task.final import FinalPositionTask
-from arrive.task.registry import get_task
+from arrive.task.final import PositionConfig
 from arrive.terms import hold_time
 from arrive.terrain import Layout
 from arrive.terrain.family import Family
@@ -109,17 +108,19 @@ def _check(option: str, values: Sequence[float], least: float, most: float, unit
         raise ArriveError(f"{option} names a value twice: {','.join(f'{value:g}' for value in values)}")
 
 
-def check_policy(policy: Policy) -> None:
-    """Refuse policies that cannot be sent to a place.
+def check_policy(policy: Policy) -> PositionConfig:
+    """The configuration of a policy's task; refuse policies that cannot be sent to a place.
 
     Raises:
         ArriveError: its task has no targets.
     """
-    if not issubclass(get_task(policy.config.task.name), FinalPositionTask):
+    task = policy.config.task
+    if not isinstance(task, PositionConfig):
         raise ArriveError(
-            f"{policy.path}: the task {policy.config.task.name!r} has no targets, so it has no distance, direction and "
+            f"{policy.path}: the task {task.name!r} has no targets, so it has no distance, direction and "
             "time of them; measure it with --protocol difficulty"
         )
+    return task
 
 
 def hardest_solved(folder: Path, family: Family, levels: int) -> float:
@@ -175,7 +176,7 @@ def measure(
 
             answers.append(_run(policy, ground, errands.layout, journey, seed, threads, advanced))
             before += own
-        families[ground.family.name] = _tables(errands, ground, answers, policy.config)
+        families[ground.family.name] = _tables(errands, ground, answers, policy)
     protocol = _protocol(policy, errands, episodes, seed)
     return {
         "families": families,
@@ -193,7 +194,7 @@ def effort(errands: Errands, episodes: int, grounds: int) -> int:
 def _run(
     policy: Policy, ground: Ground, layout: Layout, journey: Journeys, seed: int, threads: int, progress: Progress
 ) -> Arrival:
-    trial = replace(TRIAL, duration_s=journey.time_s, wait_s=journey.wait_s, hold_s=hold_time(policy.config.task))
+    trial = replace(TRIAL, duration_s=journey.time_s, wait_s=journey.wait_s, hold_s=hold_time(check_policy(policy)))
     cells = [Cell(ground.family, None, ground.value, _in_tile(*place)) for place in journey.places]
     setting = Setting(layout, trial, randomised, VARIANTS, record=False)
     return evaluate(policy, cells, journey.episodes, seed, threads, progress, setting)
@@ -204,7 +205,7 @@ def _in_tile(distance: float, direction_deg: float) -> tuple[float, float]:
     return distance * math.cos(angle), distance * math.sin(angle)
 
 
-def _tables(errands: Errands, ground: Ground, answers: Sequence[Arrival], config: Config) -> dict[str, Any]:
+def _tables(errands: Errands, ground: Ground, answers: Sequence[Arrival], policy: Policy) -> dict[str, Any]:
     """The tables of one terrain.
 
     Args:
@@ -225,7 +226,9 @@ def _tables(errands: Errands, ground: Ground, answers: Sequence[Arrival], config
             _row(around, range(i * count, (i + 1) * count), None, direction, errands.time_s)
             for i, direction in enumerate(errands.directions)
         ],
-        "waiting": _waiting(waited, config.task.arrival_radius, errands.time_s, config.physics.control_dt),
+        "waiting": _waiting(
+            waited, check_policy(policy).arrival_radius, errands.time_s, policy.config.physics.control_dt
+        ),
     }
 
 
@@ -278,7 +281,7 @@ def _waiting(answer: Arrival, radius: float, time_s: float, control_dt: float) -
 
 
 def _protocol(policy: Policy, errands: Errands, episodes: int, seed: int) -> dict[str, Any]:
-    task = policy.config.task
+    task = check_policy(policy)
     return {
         "name": NAME,
         "episodes": episodes,
