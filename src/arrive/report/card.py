@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import CellResult
@@ -39,8 +40,8 @@ def card_text(run: Run, with_curves: bool) -> str:
         f"{run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, commit "
         f"{run.record['commit'][:10]}:",
         f"```sh\n{run.record['command']}\n```",
-        *(_difficulty(run) if run.difficulty else ()),
-        *(_reach(run) if run.reach else ()),
+        *(_difficulty(run, run.difficulty) if run.difficulty else ()),
+        *(_reach(run, run.reach) if run.reach else ()),
         *(_motion(run) if run.difficulty else ()),
     ]
     if with_curves:
@@ -48,27 +49,27 @@ def card_text(run: Run, with_curves: bool) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _difficulty(run: Run) -> list[str]:
-    protocol = run.difficulty["protocol"]
+def _difficulty(run: Run, measured: dict[str, Any]) -> list[str]:
+    protocol = measured["protocol"]
     return [
         "## What it solves",
         f"`arrive eval --protocol difficulty`: {protocol['episodes']} episodes per level, seed {protocol['seed']}; "
-        f"success is {protocol['success'].partition(';')[0]}. Commit {run.difficulty['commit'][:10]}.",
+        f"success is {protocol['success'].partition(';')[0]}. Commit {measured['commit'][:10]}.",
         _solved(run),
         *(_family(run, name, results) for name, results in run.results().items()),
     ]
 
 
-def _reach(run: Run) -> list[str]:
+def _reach(run: Run, measured: dict[str, Any]) -> list[str]:
     """Where and by when it arrives."""
-    protocol = run.reach["protocol"]
+    protocol = measured["protocol"]
     parts = [
         "## Where and by when it arrives",
         f"`arrive eval --protocol reach`: {protocol['episodes']} episodes per row, seed {protocol['seed']}, "
         f"{protocol['layout']} layout; success is {protocol['success']}, with 95 % intervals. Distances are "
-        f"{protocol['by_distance']}; directions: {protocol['by_direction']}. Commit {run.reach['commit'][:10]}.",
+        f"{protocol['by_distance']}; directions: {protocol['by_direction']}. Commit {measured['commit'][:10]}.",
     ]
-    for name, entry in run.reach["families"].items():
+    for name, entry in measured["families"].items():
         parts.append(f"### {ground_words(name, entry)}")
         if compared := protocol_words(run.difficulty, name, entry):
             parts.append(compared)
@@ -81,7 +82,7 @@ def _solved(run: Run) -> str:
     """The hardest parameter solved with each share of success, a line per family."""
     head = ["terrain", *(f"solved with {share:.0%}" for share in SHARES)]
     rows = []
-    for name, entry in run.difficulty["families"].items():
+    for name, entry in run.families.items():
         limits = [entry[f"max_at_{share * 100:.0f}"] for share in SHARES]
         rows.append([name, *("-" if limit is None else f"{limit:g} {entry['unit']}" for limit in limits)])
     return _table(head, rows)
@@ -106,7 +107,7 @@ def _motion(run: Run) -> list[str]:
 
 def _motion_table(run: Run) -> str:
     rows = []
-    for name, levels in run.difficulty["policy"]["usage"].items():
+    for name, levels in run.usage.items():
         for level in levels:
             motion = level.get("motion")
             if motion:

@@ -13,7 +13,17 @@ from arrive.report.records import Run
 from arrive.report.table import PAPER
 from arrive.terrain import get_family
 
-DASHES = ((), (4, 2), (1, 1.5), (6, 2, 1, 2), (9, 2), (3, 2, 1, 2, 1, 2), (2, 2), (9, 2, 2, 2))
+LineStyle = tuple[int, tuple[float, ...]]
+DASHES: tuple[tuple[float, ...], ...] = (
+    (),
+    (4, 2),
+    (1, 1.5),
+    (6, 2, 1, 2),
+    (9, 2),
+    (3, 2, 1, 2, 1, 2),
+    (2, 2),
+    (9, 2, 2, 2),
+)
 """Of the lines of one task's runs: the lengths of dash and space in turn [line widths]; none for a solid line."""
 RUNNING_MEAN = 40
 """Strong training curves are means over this share of the run, one part in so many."""
@@ -107,7 +117,14 @@ def reach_chart(runs: Sequence[Run], columns: int = COLUMNS) -> Figure:
     return figure
 
 
-def _draw_share(axes: Axes, x: Sequence[float], rows: Sequence[dict[str, Any]], color: str, style, label=None) -> None:
+def _draw_share(
+    axes: Axes,
+    x: Sequence[float],
+    rows: Sequence[dict[str, Any]],
+    color: str,
+    style: LineStyle,
+    label: str | None = None,
+) -> None:
     low, high = zip(*(row["interval"] for row in rows), strict=True)
     axes.plot(x, [100 * row["success"] for row in rows], color=color, ls=style, marker="o", markersize=3.5, label=label)
     axes.fill_between(x, *_percent(low, high), color=color, alpha=0.15, linewidth=0)
@@ -117,11 +134,11 @@ def _measured(runs: Sequence[Run]) -> list[str]:
     return list(dict.fromkeys(name for run in runs for name in run.results()))
 
 
-def _styled(runs: Sequence[Run]) -> list[tuple[Run, str, tuple[int, tuple[float, ...]]]]:
+def _styled(runs: Sequence[Run]) -> list[tuple[Run, str, LineStyle]]:
     """Runs with the colour and the line style that tell them apart."""
     colors = colors_of(runs)
     seen: dict[str, int] = {}
-    styled = []
+    styled: list[tuple[Run, str, LineStyle]] = []
     for run in runs:
         count = seen[run.task] = seen.get(run.task, -1) + 1
         styled.append((run, colors[run.name], (0, DASHES[count % len(DASHES)])))

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import matplotlib
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -21,8 +22,11 @@ PANEL_IN = (4.3, 2.9)
 class Named(Protocol):
     """A policy in a chart: a name and the task that it was trained on."""
 
-    name: str
-    task: str
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def task(self) -> str: ...
 
 
 def color_of(task: str) -> str:
@@ -67,14 +71,14 @@ def finish(axes: Axes, title: str, x: str, y: str) -> None:
 
 def legend(figure: Figure, drawn: Sequence[Axes]) -> None:
     """One legend above all panels, with every label once."""
-    lines = {}
+    lines: dict[str, Artist] = {}
     for axes in drawn:
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     if lines:
         ncols = max(int(figure.get_figwidth() / PANEL_IN[0] * 4 / COLUMNS), 1)
         figure.legend(
-            lines.values(),
-            lines.keys(),
+            list(lines.values()),
+            list(lines),
             loc="outside upper left",
             ncols=ncols,
             fontsize=9,

@@ -82,9 +82,7 @@ def make_page(runs: Sequence[Run], content: dict[str, Any], results: Results = N
 
 def _head(runs: Sequence[Run], content: dict[str, Any]) -> str:
     measured = [run for run in runs if run.difficulty]
-    levels = {
-        level["episodes"] for run in measured for f in run.difficulty["families"].values() for level in f["levels"]
-    }
+    levels = {level["episodes"] for run in measured for f in run.families.values() for level in f["levels"]}
     total = sum(entry["episodes"] for row in content["table"] for entry in row["ours"])
     behind = f"{' or '.join(f'{n:,}' for n in sorted(levels))} episodes behind every point, {total:,} in all"
     return (
@@ -194,31 +192,31 @@ def _difficulty(runs: Sequence[Run]) -> str:
 def _reach(runs: Sequence[Run]) -> str:
     """Success by distance, direction and time given, of the runs that were measured so."""
     head = "<h2 id=reach>Success by distance, direction and time given</h2>"
-    measured = [run for run in runs if run.reach]
+    measured = [(run, run.reach) for run in runs if run.reach]
     if not measured:
         commands = (command_line("eval", "--protocol", "reach", run.name) for run in runs)
         return head + missing("No run was measured so.", *commands)
     items, made = [], []
-    for run in measured:
-        for name, entry in run.reach["families"].items():
+    for run, reach in measured:
+        for name, entry in reach["families"].items():
             words = f"{html.escape(ground_words(name, entry))}: {html.escape(waiting_words(entry['waiting']))}."
             items.append(f"<li>{label(run.task, run.name)} {words} {protocol_words(run.difficulty, name, entry)}</li>")
-        made.append(f"{code(_reach_command(run))}, measured by {html.escape(run.reach['commit'])}")
-    protocol = measured[0].reach["protocol"]
+        made.append(f"{code(_reach_command(run, reach))}, measured by {html.escape(reach['commit'])}")
+    drawn, protocol = [run for run, _ in measured], measured[0][1]["protocol"]
     return (
         f"{head}<p class=soft>Where policies are used, not where the paper measures: {protocol['success']}. Directions "
         "are relative to the heading at the start, counterclockwise, all distances in equal parts; a target that would "
         f"stand in a hole stands at the next place behind it. Bands: 95 % Wilson intervals. The times given "
         "are compared in each policy's card.</p>"
-        f"{chart(lambda columns: reach_chart(measured, columns), 'success by distance and direction')}"
+        f"{chart(lambda columns: reach_chart(drawn, columns), 'success by distance and direction')}"
         f"<ul>{''.join(items)}</ul><p class=made>{'<br>'.join(made)}</p>"
     )
 
 
-def _reach_command(run: Run) -> str:
-    protocol = run.reach["protocol"]
+def _reach_command(run: Run, reach: dict[str, Any]) -> str:
+    protocol = reach["protocol"]
     lists = {"--target-distance": "distances_m", "--direction": "directions_deg", "--time": "times_s"}
-    grounds = (ground_words(name, entry).split(" ") for name, entry in run.reach["families"].items())
+    grounds = (ground_words(name, entry).split(" ") for name, entry in reach["families"].items())
     terrain = ",".join("=".join(words[:2]) for words in grounds)
     options = [word for option, key in lists.items() for word in (option, _joined(protocol[key]))]
     return command_line(
@@ -234,8 +232,8 @@ def _joined(values: Sequence[float]) -> str:
 def _usage(runs: Sequence[Run]) -> str:
     rows = []
     for family in dict.fromkeys(name for run in runs for name in run.results()):
-        for run in (run for run in runs if run.difficulty and family in run.difficulty["policy"]["usage"]):
-            easiest = run.difficulty["policy"]["usage"][family][0]
+        for run in (run for run in runs if family in run.usage):
+            easiest = run.usage[family][0]
             if easiest["episodes"]:
                 time, path = easiest["arrival_time_s"], easiest["path_length_m"]
                 rows.append(
@@ -322,7 +320,7 @@ def _protocol(protocol: dict[str, Any]) -> str:
     )
 
 
-def _picture(path) -> str:
+def _picture(path: Path) -> str:
     """A strip, shrunk, as a JPEG: a page of many would be too large to send otherwise."""
     with Image.open(path) as image:
         size = (min(STRIP_WIDTH, image.width), round(image.height * min(STRIP_WIDTH / image.width, 1.0)))

@@ -61,7 +61,9 @@ def waiting_words(waiting: dict[str, Any]) -> str:
 
 def protocol_words(difficulty: dict[str, Any] | None, name: str, entry: dict[str, Any]) -> str:
     """What the protocol of maximum difficulty found at the same value, to compare with; empty where nothing."""
-    levels: Sequence[dict[str, Any]] = ((difficulty or {}).get("families", {}).get(name) or {}).get("levels", ())
+    if difficulty is None:
+        return ""
+    levels: Sequence[dict[str, Any]] = (difficulty.get("families", {}).get(name) or {}).get("levels", ())
     same = [level for level in levels if abs(level["value"] - entry["value"]) < 1e-6]
     if not same:
         return ""

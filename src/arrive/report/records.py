@@ -62,10 +62,19 @@ class Run:
         before = f" after {self.samples_before / 1e6:.1f} M of the runs before" if self.samples_before else ""
         return f"{self.samples / 1e6:.2f} M samples{before}"
 
+    @property
+    def families(self) -> dict[str, Any]:
+        """What difficulty.json says of each family; empty where the run was not measured."""
+        return self.difficulty["families"] if self.difficulty else {}
+
+    @property
+    def usage(self) -> dict[str, Any]:
+        """How the robots of each family spent their time; empty where the run was not measured."""
+        return self.difficulty["policy"]["usage"] if self.difficulty else {}
+
     def results(self) -> dict[str, list[CellResult]]:
         """What was measured, by family; empty where nothing was."""
-        families = self.difficulty["families"] if self.difficulty else {}
-        return {name: _results(name, entry) for name, entry in families.items()}
+        return {name: _results(name, entry) for name, entry in self.families.items()}
 
 
 @dataclass(frozen=True)

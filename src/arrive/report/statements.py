@@ -54,8 +54,11 @@ def _costs(
     content: dict[str, Any], tasks: Sequence[str], fast: bool
 ) -> tuple[float, list[tuple[float, float, float]]] | None:
     """The slowest or fastest speed that policies of all tasks reach, and each task's cost there with its interval."""
-    curves = {task: [_curve(policy) for policy in Measured.of(content) if policy.task == task] for task in tasks}
-    curves = {task: [curve for curve in found if curve is not None] for task, found in curves.items()}
+    policies = Measured.of(content)
+    curves = {
+        task: [curve for policy in policies if policy.task == task and (curve := _curve(policy)) is not None]
+        for task in tasks
+    }
     if not all(curves.values()):
         return None
     speeds = [curve[0] for found in curves.values() for curve in found]

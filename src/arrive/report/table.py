@@ -38,7 +38,7 @@ def make_table(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def _entry(run: Run, family: str) -> dict[str, Any]:
-    content = run.difficulty["families"][family]
+    content = run.families[family]
     episodes = [level["episodes"] for level in content["levels"]]
     return {
         "run": run.name,

@@ -87,7 +87,7 @@ def _origin(run: Run) -> dict[str, Any]:
         "seed": run.record["seed"],
         "commit": run.record["commit"],
         "train_command": _train_command(run.record["command"]),
-        "eval_command": _eval_command(run) if run.difficulty else None,
+        "eval_command": _eval_command(run, run.difficulty) if run.difficulty else None,
         "difficulty": run.difficulty,
     }
 
@@ -97,8 +97,8 @@ def _train_command(command: str) -> str:
     return f"arrive {command.partition(' ')[2]}"
 
 
-def _eval_command(run: Run) -> str:
-    protocol, families = run.difficulty["protocol"], run.difficulty["families"]
+def _eval_command(run: Run, measured: dict[str, Any]) -> str:
+    protocol, families = measured["protocol"], measured["families"]
     levels = f" --levels {protocol['levels']}" if protocol["levels"] else ""
     return (
         f"arrive eval --protocol difficulty {run.name} --terrain {','.join(families)} "
