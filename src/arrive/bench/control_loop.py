@@ -11,6 +11,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def measure(path: str, steps: int) -> dict:
+def measure(path: str, steps: int) -> dict[str, Any]:
     """Time `steps` control steps of the policy in an exported file, one by one."""
     controller = Controller.load(path)
     walk, period = Walk(controller), controller.policy.period_s

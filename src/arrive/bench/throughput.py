@@ -21,8 +21,7 @@ from arrive.learning.logs import RunLog
 from arrive.learning.schedule import settings_at
 from arrive.learning.threads import one_torch_thread
 from arrive.learning.trainer import Trainer
-from arrive.physics.cpu import CpuPhysics
-from arrive.physics.engine import STATE_FIELDS
+from arrive.physics.engine import STATE_FIELDS, Physics
 from arrive.physics.options import PhysicsConfig
 
 RATES = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
@@ -34,7 +33,7 @@ Progress = Callable[[int, int], None]
 class RawEngine:
     """`mujoco.batch` alone, fed with the models, states and actions that an environment's physics is about to step."""
 
-    def __init__(self, physics: CpuPhysics, config: PhysicsConfig, threads: int):
+    def __init__(self, physics: Physics, config: PhysicsConfig, threads: int):
         self._physics, self._decimation = physics, config.decimation
         self._takes_targets = config.motor != "network"
         self._batch = Batch(physics.model_of_env(0), physics.num_envs, threads)

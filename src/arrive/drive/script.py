@@ -73,8 +73,8 @@ def read_script(path: Path) -> Script:
 
 def _number(path: Path, line: int, text: str | None) -> float:
     try:
-        value = float(text)
-    except (TypeError, ValueError):
+        value = float(text or "")
+    except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise ArriveError(f"{path}, line {line}: {text!r} is not a finite number")

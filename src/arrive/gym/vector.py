@@ -136,6 +136,7 @@ def _final(finished: Finished, num_envs: int) -> dict[str, Any]:
     ids = finished.env_ids.numpy()
     mask = np.zeros(num_envs, dtype=bool)
     mask[ids] = True
+    assert finished.observation is not None  # this environment asks for them
     observations = np.full(num_envs, None, dtype=object)
     for env_id, observation in zip(ids, finished.observation.numpy(), strict=True):
         observations[env_id] = observation

@@ -9,7 +9,7 @@ import math
 import time
 from asyncio import sleep
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeGuard
 
 import msgspec
 import viser
@@ -63,6 +63,7 @@ class Guard:
         if set(fields) != {"uuid", "updates"} or set(fields["updates"]) != {"value"}:
             return False
         # viser has no public way from a message to its control; without this one nothing is let through.
+        assert self.server is not None
         control = self.server.gui._gui_input_handle_from_uuid.get(fields["uuid"])
         return control is not None and offers(control, fields["updates"]["value"])
 
@@ -150,6 +151,6 @@ def _are_numbers(values: object, count: int, largest: float = FARTHEST) -> bool:
     return isinstance(values, list) and len(values) == count and all(_is_number(value, largest) for value in values)
 
 
-def _is_number(value: object, largest: float = FARTHEST) -> bool:
+def _is_number(value: object, largest: float = FARTHEST) -> TypeGuard[float]:
     """Whether a value is one finite number of at most this size."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= largest

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any, Literal, TypeVar
 
 import viser
 
@@ -17,6 +18,7 @@ from arrive.terrain import FAMILIES, Family, Layout
 from arrive.terrain.ground import Ground, varies
 
 Request = Callable[[Playground], None]
+Value = TypeVar("Value")
 LAYOUTS: dict[str, Layout] = {"one way, to be crossed": "evaluation", "all around, as in training": "training"}
 AWAY, OWN = "away from me", "where the robot looks"
 HELP = (
@@ -99,7 +101,8 @@ class Panel:
         if varies(family):
             self._value.label, self._value.precision = parameter_words(family), slider_digits(family)
             self._value.min, self._value.max = family.lowest, family.highest
-            self._value.step, self._value.value = 10.0 ** -slider_digits(family), value
+            self._value.step = 10.0 ** -slider_digits(family)
+            _set(self._value, value)
         robot = playground.robot.robot
         if self._plots is not None:
             self._plots.remove()
@@ -121,7 +124,7 @@ class Panel:
         self._post(lambda playground: playground.go(duration_s))
 
     def _toggle_slow(self) -> None:
-        self._speed.value = SLOW if self._speed.value > SLOW else 1.0
+        _set(self._speed, SLOW if self._speed.value > SLOW else 1.0)
 
     def _add_skill(self, gui: viser.GuiApi) -> None:
         self._robot = gui.add_dropdown("Robot", ("",), visible=False)
@@ -181,7 +184,7 @@ class Panel:
         self._frame = gui.add_dropdown("Forward is", (AWAY, OWN), hint="What the stick's upper end means")
 
         @self._stick.on_update
-        def _(event: viser.GuiEvent) -> None:
+        def _(event: viser.GuiEvent[viser.GuiTextHandle]) -> None:
             if event.client is not None and (stick := parse_stick(self._stick.value)) is not None:
                 self._driver = event.client_id
                 heading = view_heading(event.client) if self._frame.value == AWAY else None
@@ -190,7 +193,8 @@ class Panel:
     def _let_go(self, client: viser.ClientHandle) -> None:
         """A browser that is closed lets the stick go."""
         if client.client_id == self._driver:
-            self._driver, self._stick.value = None, CENTRE
+            self._driver = None
+            _set(self._stick, CENTRE)
             self._post(lambda playground: playground.drive(0.0, 0.0))
 
     def _add_more(self, gui: viser.GuiApi) -> None:
@@ -214,8 +218,8 @@ class Panel:
         pause = gui.add_command("Pause", hotkey="space")
 
         @pause.on_trigger
-        def _(_) -> None:
-            self._pause.value = not self._pause.value
+        def _(_: object) -> None:
+            _set(self._pause, not self._pause.value)
 
 
 def parameter_words(family: Family) -> str:
@@ -243,17 +247,28 @@ def _refuse(message: str) -> None:
     raise ArriveError(message)
 
 
-def _by_a_person(act: Callable[[], None]) -> Callable[[viser.GuiEvent], None]:
+def _set(control: viser.GuiInputHandle[Value], value: Value) -> None:
+    """Change a control; mypy does not find the setter, which viser defines apart from the property."""
+    control.value = value  # type: ignore[misc]
+
+
+def _by_a_person(act: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], None]:
     """A callback that does something when a browser changes a control, not when this program does."""
 
-    def react(event: viser.GuiEvent) -> None:
+    def react(event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
             act()
 
     return react
 
 
-def _on_press(gui: viser.GuiApi, label: str, hotkey: str, act: Callable[[], None], color: object) -> None:
+def _on_press(
+    gui: viser.GuiApi,
+    label: str,
+    hotkey: Literal["G", "M", "P", "R"],
+    act: Callable[[], None],
+    color: Literal["gray"] | tuple[int, int, int],
+) -> None:
     """A button and a key that do the same."""
     gui.add_button(f"{label} ({hotkey})", color=color).on_click(lambda _: act())
     gui.add_command(label, hotkey=hotkey).on_trigger(lambda _: act())

@@ -71,6 +71,7 @@ class Playground:
         self._seed, self._rng = seed, np.random.default_rng(seed)
         self.skill, self.ground = skill, ground
         self.driver = Driver(self._robot(skill, ground), Controller(skill.policy))
+        self.goal: Goal = STOP
         self._start()
         self.aim = self._point(*first_aim(self.robot.tile, ground))
         """Where a target is drawn, in the world; `go` sends the robot there [m]."""
@@ -238,7 +239,7 @@ class Playground:
 
     def _start(self) -> None:
         """The robot stands at its start and knows of nothing that was before."""
-        self.goal: Goal = STOP
+        self.goal = STOP
         self.command = JointCommand(np.array(self.robot.robot.default_joint_pos), "stop", "")
         self._judged = True
 

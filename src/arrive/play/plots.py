@@ -1,9 +1,8 @@
 """Live plots of the last seconds: speed and distance, torques, feet on the ground."""
 
-from typing import Any
-
 import numpy as np
 import viser
+from viser import uplot
 
 from arrive.play.colours import PALETTE, hexadecimal, joint_kinds, leg_names, palette
 from arrive.play.history import WINDOW_S, History
@@ -51,19 +50,19 @@ def _key(colours: dict[str, str]) -> str:
     return f'<div style="font-size:0.8em;padding:0 0.8em">{" ".join(words)}</div>'
 
 
-def _at_least(low: float, high: float) -> dict[str, Any]:
+def _at_least(low: float, high: float) -> uplot.Scale:
     """A scale that shows this range, and more where the data need it."""
     return {"range": {"min": {"soft": low, "mode": 1, "pad": 0.1}, "max": {"soft": high, "mode": 1, "pad": 0.1}}}
 
 
 def _chart(
-    gui: viser.GuiApi, title: str, lines: list[tuple[str, str]], scale: dict[str, Any], legend: bool = True
+    gui: viser.GuiApi, title: str, lines: list[tuple[str, str]], scale: uplot.Scale, legend: bool = True
 ) -> viser.GuiUplotHandle:
     """A chart of lines given by name and colour."""
     nothing = np.array([-WINDOW_S, 0.0])
     return gui.add_uplot(
         (nothing, *(np.zeros(2) for _ in lines)),
-        ({"label": "time [s]"}, *({"label": name, "stroke": colour, "width": 1.5} for name, colour in lines)),
+        ({"label": "time [s]"}, *(uplot.Series(label=name, stroke=colour, width=1.5) for name, colour in lines)),
         title=title,
         scales={"x": {"time": False, "range": (-WINDOW_S, 0.0)}, "y": scale},
         legend={"show": legend, "live": False},

@@ -49,7 +49,8 @@ class Scene:
         self._add_sky()
         self._world = server.scene.add_frame(WORLD, show_axes=False)
         self._lift = 0.0
-        self._robot = self._ground = None
+        self._robot: viser.FrameHandle | None = None
+        self._ground: viser.FrameHandle | None = None
         self.show(playground)
         view = first_view(*self._ends(playground), USUAL_ASPECT)
         server.initial_camera.position, server.initial_camera.look_at = view.position, view.look_at
@@ -68,7 +69,7 @@ class Scene:
             self._robot = self._server.scene.add_frame(f"{WORLD}/robot", show_axes=False)
             self._links = self._add_robot(robot)
             self._ground = self._server.scene.add_frame(f"{WORLD}/ground", show_axes=False)
-            self._add_ground(robot.model)
+            self._add_ground(self._ground.name, robot.model)
         self._lift = 0.0
 
     def update(self, robot: SimulatedRobot, follow: bool) -> None:
@@ -135,10 +136,10 @@ class Scene:
                 self._server.scene.add_glb(f"{name}/{number}", robot_surface(mesh, _rgb(rgba)))
         return frames
 
-    def _add_ground(self, model: mujoco.MjModel) -> None:
+    def _add_ground(self, name: str, model: mujoco.MjModel) -> None:
         """The terrain, one surface per colour."""
         for number, (rgba, mesh) in enumerate(link_meshes(model, 0, TERRAIN_GROUP).items()):
-            self._server.scene.add_glb(f"{self._ground.name}/{number}", ground_surface(mesh, _rgb(rgba)))
+            self._server.scene.add_glb(f"{name}/{number}", ground_surface(mesh, _rgb(rgba)))
 
     def _add_target(self, playground: Playground) -> viser.TransformControlsHandle:
         """A gizmo to be dragged, with a pole that stands in a disc as large as the place to be reached."""
@@ -191,7 +192,7 @@ def _keep_horizon(client: viser.ClientHandle) -> None:
 
 def in_linear_light(colour: Rgb) -> Rgb:
     """An sRGB colour in linear light, both 0 to 255: viser takes those of fog and lines as they are."""
-    return tuple(round(255 * part) for part in linear(colour))
+    return _rgb(linear(colour))
 
 
 def link_meshes(model: mujoco.MjModel, body: int, group: int) -> Meshes:
@@ -205,9 +206,10 @@ def link_meshes(model: mujoco.MjModel, body: int, group: int) -> Meshes:
             continue
         position = (data.geom_xpos[geom] - origin) @ rotation
         turn = rotation.T @ data.geom_xmat[geom].reshape(3, 3)
-        parts[tuple(model.geom_rgba[geom].tolist())].append(geom_triangles(model, geom).placed(position, turn))
+        parts[tuple(model.geom_rgba[geom].tolist())].append(geom_triangles(model, int(geom)).placed(position, turn))
     return {rgba: joined(meshes) for rgba, meshes in parts.items()}
 
 
 def _rgb(rgba: tuple[float, ...]) -> Rgb:
-    return tuple(round(255 * channel) for channel in rgba[:3])
+    red, green, blue = (round(255 * channel) for channel in rgba[:3])
+    return red, green, blue

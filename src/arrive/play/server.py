@@ -64,11 +64,11 @@ def _through(door: Door, guard: Guard) -> Iterator[list[bool]]:
         options |= {"max_size": LARGEST_MESSAGE, "create_connection": guarded(guard), "logger": quiet}
         return serve(*args, process_request=_checked(door, process_request), **options)
 
-    websockets.asyncio.server.serve = serve_guarded
+    websockets.asyncio.server.serve = serve_guarded  # type: ignore[misc, assignment]
     try:
         yield taken
     finally:
-        websockets.asyncio.server.serve = serve
+        websockets.asyncio.server.serve = serve  # type: ignore[misc]
 
 
 def _checked(door: Door, answer: Process) -> Process:

@@ -71,9 +71,16 @@ def film(episode: Episode, path: Path, fps: int = 25) -> None:
     duration_s = (len(episode.qpos) - 1) * episode.control_dt
     font = ImageFont.load_default(18)
     with whole(path) as file, open_stage(episode, *FILM_SIZE) as stage:
-        options = {"fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 2}
-        options["output_params"] = ["-preset", "veryfast"]
-        with imageio.get_writer(file, format="FFMPEG", **options) as writer:
+        writer = imageio.get_writer(
+            file,
+            format="FFMPEG",
+            fps=fps,
+            codec="libx264",
+            pixelformat="yuv420p",
+            macro_block_size=2,
+            output_params=["-preset", "veryfast"],
+        )
+        with writer:
             for frame in range(int(duration_s * fps) + 1):
                 image = Image.fromarray(stage.draw(episode.index_at(frame / fps)))
                 ended = frame == int(duration_s * fps)
@@ -260,6 +267,8 @@ def _add_geom(
         return
     geom = scene.geoms[scene.ngeom]
     frame = np.eye(3) if frame is None else frame
-    mujoco.mjv_initGeom(geom, kind, np.array(size, float), np.array(position, float), frame.ravel(), np.float32(rgba))
+    mujoco.mjv_initGeom(
+        geom, kind, np.array(size, float), np.array(position, float), frame.ravel(), np.array(rgba, np.float32)
+    )
     geom.emission = emission
     scene.ngeom += 1
