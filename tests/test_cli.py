@@ -12,7 +12,9 @@ import torch
 from PIL import Image
 
 from arrive import cli
+from arrive.commands import names
 from arrive.fields import rows
+from arrive.learning.rundir import write_config
 from arrive.presets import PRESETS
 from arrive.recipe import make_config
 from arrive.render import graphics, pictures
@@ -210,6 +212,16 @@ def test_list_names_everything(capsys):
     text = capsys.readouterr().out
     assert all(name in text for name in PRESETS)
     assert "stairs" not in text
+
+
+def test_list_takes_policies_without_targets(capsys, monkeypatch, tmp_path):
+    config = make_config(parse_families("flat"), task="velocity")
+    (tmp_path / "walker").mkdir()
+    write_config(tmp_path / "walker", config)
+    monkeypatch.setattr(names, "SHIPPED", tmp_path)
+    monkeypatch.setattr(names, "shipped_names", lambda: ["walker"])
+    cli.main(["list", "policies"])
+    assert "not evaluated; anymal_c, trained on flat" in capsys.readouterr().out
 
 
 def test_help_names_the_commands(capsys):

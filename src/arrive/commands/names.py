@@ -15,9 +15,10 @@ from arrive.policies import DIFFICULTY_NAME, SHIPPED, shipped_names
 from arrive.policies.solved import amounts, solved_beside
 from arrive.presets import PRESETS
 from arrive.robots import ROBOTS
+from arrive.task.final import PositionConfig
 from arrive.task.registry import TASKS
 from arrive.task.rewards import functions
-from arrive.terrain import FAMILIES
+from arrive.terrain import FAMILIES, Family
 
 if TYPE_CHECKING:
     from arrive.commands.options import List
@@ -53,7 +54,7 @@ def list_names(command: List) -> None:
         Console().print(table)
 
 
-def _describe(family) -> str:
+def _describe(family: Family) -> str:
     if family.lowest == family.highest:
         return family.description
     return f"{family.description} ({family.parameter} {family.lowest:g} to {family.highest:g} {family.unit})"
@@ -62,7 +63,8 @@ def _describe(family) -> str:
 def _ability(policy: str) -> str:
     """What a shipped policy solves according to its evaluation, and what it was trained for."""
     config, _ = read_config(SHIPPED / policy)
-    stick = " with moving targets, for a joystick" if config.task.retarget_s > 0.0 else ""
+    moving = isinstance(config.task, PositionConfig) and config.task.retarget_s > 0.0
+    stick = " with moving targets, for a joystick" if moving else ""
     trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
     if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
         return f"not measured; {trained}"
@@ -73,5 +75,5 @@ def _ability(policy: str) -> str:
     return f"solves {', '.join(solved) or 'nothing'} in 95 % of the episodes; {trained}"
 
 
-def _first_line(thing) -> str:
+def _first_line(thing: object) -> str:
     return (thing.__doc__ or "").strip().splitlines()[0]
