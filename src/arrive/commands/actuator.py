@@ -6,13 +6,18 @@ import csv
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from arrive.commands.limits import COUNT, INDEX, POSITIVE, SEED
 from arrive.errors import ArriveError
 from arrive.fields import Range
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from arrive.actuation import fit as fitting
 
 PERIOD = Range(1e-5, 0.1)
 """Range of the physics step [s]."""
@@ -115,7 +120,15 @@ class Actuator:
 
 def actuator(command: Actuator) -> None:
     """Run the chosen action."""
-    {Record: record, Fit: fit, Show: show, Import: import_}[type(command.action)](command.action)
+    match command.action:
+        case Record() as action:
+            record(action)
+        case Fit() as action:
+            fit(action)
+        case Show() as action:
+            show(action)
+        case Import() as action:
+            import_(action)
 
 
 def record(options: Record) -> None:
@@ -140,13 +153,13 @@ def record(options: Record) -> None:
     log = simulate(SeriesElasticDrive(), targets, load, options.period_s)
     with whole(options.out) as file:
         if options.out.suffix == ".npz":
-            np.savez(file, **log)
+            np.savez(file, **log)  # type: ignore[arg-type]  # for NumPy, one of them could be `allow_pickle`
         else:
             _write_csv(file, log)
     print(f"log: {options.out} ({options.joints} joints, {steps * options.period_s:g} s, every {options.period_s:g} s)")
 
 
-def _write_csv(path: Path, log: dict) -> None:
+def _write_csv(path: Path, log: dict[str, np.ndarray]) -> None:
     """Write one row per sample and joint, one joint after the other."""
     names = [name for name in log if name != "time"]
     with path.open("w", newline="") as file:
@@ -188,7 +201,7 @@ def fit(options: Fit) -> None:
     print(f"network: {options.out}, picture: {picture}")
 
 
-def _print_errors(result, trajectories: int) -> None:
+def _print_errors(result: fitting.Fit, trajectories: int) -> None:
     lines = (("network", result.errors), ("best PD law", result.pd_errors))
     print(f"{trajectories} trajectories, {result.epochs} epochs; on held-out trajectories:")
     for name, errors in lines:

@@ -42,7 +42,7 @@ def run_drive(command: Drive) -> None:
     finally:
         status.close()
         controls.close()
-        if log:
+        if log and command.log:
             log.save(command.log)
     print(summarise(tally))
     if log:

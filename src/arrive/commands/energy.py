@@ -22,6 +22,7 @@ from arrive.learning.policy import Policy
 from arrive.report.energy_chart import energy_figure
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from arrive.commands.options import Energy
@@ -41,7 +42,6 @@ def energy(command: Energy) -> None:
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:
-            walked = bar.add_task(f"{policy.name}: robot metres", total=None)
             measured.append(
                 measure_energy(
                     policy,
@@ -50,7 +50,7 @@ def energy(command: Energy) -> None:
                     command.distance,
                     command.seed,
                     threads,
-                    lambda i, n, walked=walked: bar.update(walked, completed=i, total=n),
+                    shown_on(bar, f"{policy.name}: robot metres"),
                 )
             )
     for content in measured:
@@ -61,6 +61,12 @@ def energy(command: Energy) -> None:
     with whole(picture) as file:
         energy_figure(result).savefig(file, format="png", dpi=110)
     print(f"picture: {picture}")
+
+
+def shown_on(bar: Progress, words: str) -> Callable[[int, int], None]:
+    """What shows how far a measurement is, as one more task of the bar."""
+    task = bar.add_task(words, total=None)
+    return lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def load_policies(paths: tuple[Path, ...]) -> list[Policy]:

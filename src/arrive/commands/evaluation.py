@@ -208,8 +208,8 @@ def _print_results(results: list[CellResult]) -> None:
     Console().print(table)
 
 
-def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict:
-    families: dict[str, dict] = {}
+def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict[str, Any]:
+    families: dict[str, dict[str, Any]] = {}
     for result in answer.results:
         family = result.cell.family
         entry = families.setdefault(family.name, {"parameter": family.parameter, "unit": family.unit, "levels": []})

@@ -22,7 +22,7 @@ class Films:
         """
         self._folder, self._period_s = folder, None if minutes is None else 60.0 * minutes
         self._next_s = time.monotonic() + (self._period_s or 0.0)
-        self._process: subprocess.Popen | None = None
+        self._process: subprocess.Popen[bytes] | None = None
 
     def tick(self, samples: int) -> None:
         """Start a film if it is time. Its name contains `samples`, the policy steps so far."""
@@ -33,8 +33,10 @@ class Films:
         self._next_s = time.monotonic() + self._period_s
         pictures = self._folder / FOLDER / f"{samples / 1e6:07.2f}M"
         command = ["eval", str(self._folder), "--episodes", "1", "--threads", "1", "--pictures", str(pictures)]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
-        self._process = subprocess.Popen([sys.executable, "-m", "arrive", *command], **quiet)
+        nothing = subprocess.DEVNULL
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "arrive", *command], stdin=nothing, stdout=nothing, stderr=nothing
+        )
 
     def close(self) -> None:
         """Wait for a film that is being made."""

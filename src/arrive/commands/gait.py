@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from arrive.commands.energy import load_policies, with_interval
+from arrive.commands.energy import load_policies, shown_on, with_interval
 from arrive.commands.files import write_json
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
@@ -35,7 +35,6 @@ def gait(command: Gait) -> None:
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:
-            steps = bar.add_task(f"{policy.name}: policy steps", total=None)
             measured.append(
                 measure_gait(
                     policy,
@@ -44,7 +43,7 @@ def gait(command: Gait) -> None:
                     command.seconds,
                     command.seed,
                     threads,
-                    lambda i, n, steps=steps: bar.update(steps, completed=i, total=n),
+                    shown_on(bar, f"{policy.name}: policy steps"),
                 )
             )
     for content in measured:

@@ -1,5 +1,6 @@
 """Ranges of numeric options. They are declared in each option's type and checked before a command runs."""
 
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -24,7 +25,7 @@ def check_limits(command: Any) -> None:
         raise ArriveError("; ".join(problems))
 
 
-def _problems(command: Any):
+def _problems(command: Any) -> Iterator[str]:
     hints = get_type_hints(type(command), include_extras=True)
     for item in fields(command):
         value = getattr(command, item.name)

@@ -9,6 +9,8 @@ from arrive.commands.policies import need
 
 if TYPE_CHECKING:
     from arrive.commands.options import Play
+    from arrive.play.skills import Skill
+    from arrive.terrain.ground import Ground
 
 
 def run_play(command: Play) -> None:
@@ -42,7 +44,7 @@ def run_play(command: Play) -> None:
         print(f"simulated {kept:.1%} of {pace.asked_s:.1f} s in real time; falls: {playground.falls}")
 
 
-def _opening(command: Play) -> tuple:
+def _opening(command: Play) -> tuple[Skill, Ground]:
     """The policy and its ground: the requested one, or the hardest that the policy solves."""
     from arrive.play.skills import open_skill
     from arrive.terrain.ground import Ground, ground_of

@@ -10,6 +10,8 @@ from arrive.policies import SHIPPED, shipped_names
 from arrive.policies.solved import TELLING, solved_beside
 
 if TYPE_CHECKING:
+    from PIL import Image
+
     from arrive.commands.options import Showreel
 
 
@@ -25,11 +27,13 @@ def showreel(command: Showreel) -> None:
     from arrive.terrain import FAMILIES
     from arrive.terrain.ground import Ground
 
-    pictures = []
+    pictures: list[Image.Image] = []
     for name, family in _scenes(command.policies):
         skill = open_skill(name)
-        ground = skill.ground("evaluation") if family is None else None
-        ground = ground or Ground(FAMILIES[family], skill.value(family), "evaluation")
+        if family is None:
+            ground = skill.ground("evaluation")
+        else:
+            ground = Ground(FAMILIES[family], skill.value(family), "evaluation")
         episode = record(skill, ground)
         if episode is None:
             print(f"{name}: left out, it does not arrive on {ground.words}")

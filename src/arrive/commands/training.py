@@ -58,7 +58,9 @@ def train(command: Train) -> None:
     device = choose_device(command.device)
     ranks = join_ranks(device)
     # Only rank 0 makes the folder. The other ranks get its result.
-    config, folder = ranks.share((_resumed if command.resume else _fresh)(command) if ranks.leads else None)
+    config, folder = ranks.share(
+        (_resumed(command, command.resume) if command.resume else _fresh(command)) if ranks.leads else None
+    )
     with owned(folder) if ranks.leads else nullcontext() as lock:
         if ranks.leads and not command.resume:
             check_free(folder)  # again, because another process may have held the lock until now
@@ -96,16 +98,17 @@ def _train(command: Train, run: _Run) -> None:
         trainer.load()
     elif command.start_from:
         before = _begin_from(trainer, find_policy(command.start_from))
-    if log is None:
+    lock = run.lock
+    if log is None or lock is None:
         trainer.train(run.budget, lambda result: None)
         return
-    run.lock.check()
+    lock.check()
     if command.resume:
         log.resume_at(trainer.state.iteration)
     else:
         write_config(run.folder, run.config, before)  # last, so that a start that failed leaves the folder free
     log.describe(run.config)
-    _train_and_show(command, run, trainer, log)
+    _train_and_show(command, run, trainer, log, lock)
 
 
 def _begin_from(trainer: Trainer, start: Path) -> int:
@@ -128,12 +131,12 @@ def _build(run: _Run) -> ArriveEnv:
         )
 
 
-def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog) -> None:
+def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog, lock: Lock) -> None:
     """Train with the display, the log and the curves."""
     config, folder = run.config, run.folder
 
     def before_save() -> None:
-        run.lock.check()
+        lock.check()
         log.flush()
 
     title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
@@ -166,8 +169,8 @@ def _how_to_go_on(command: Train, folder: Path) -> str:
 def _budget(command: Train) -> Budget:
     """Minutes, iterations and samples. The one that is spent first ends the run."""
     samples = None if command.samples is None else _parse_samples(command.samples)
-    budget = {"minutes": command.minutes, "iterations": command.iterations, "samples": samples}
-    return Budget(**budget) if any(budget.values()) else Budget(DEFAULT_MINUTES)
+    budget = Budget(command.minutes, command.iterations, samples)
+    return budget if any(vars(budget).values()) else Budget(DEFAULT_MINUTES)
 
 
 def _parse_samples(text: str) -> float:
@@ -194,9 +197,8 @@ def _fresh(command: Train) -> tuple[Config, Path]:
     return config, new_run_folder(config, command.out)
 
 
-def _resumed(command: Train) -> tuple[Config, Path]:
+def _resumed(command: Train, folder: Path) -> tuple[Config, Path]:
     """The configuration of the run to resume. Options that would change it are an error."""
-    folder = command.resume
     config, _ = read_config(folder)
     if not (folder / CHECKPOINT_NAME).is_file():
         raise ArriveError(

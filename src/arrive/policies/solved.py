@@ -54,8 +54,9 @@ def read_measured(path: Path) -> dict[str, Any] | None:
 def _within(family: str, value: object) -> bool:
     """Whether a file's value is one of the family's parameter."""
     kind = FAMILIES[family]
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and math.isfinite(value) and kind.lowest <= value <= kind.highest
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return math.isfinite(value) and kind.lowest <= value <= kind.highest
 
 
 def amounts(solved: dict[str, float]) -> list[str]:
