@@ -8,6 +8,7 @@ setup(
     packages=[*find_packages("src"), SHIPPED],
     package_dir={"": "src", SHIPPED: "policies"},
     package_data={
+        "arrive": ["py.typed"],
         "arrive.play": ["*.js", "*.css"],
         "arrive.report": ["*.css"],
         SHIPPED: ["*/policy.pt", "*/config.json", "*/difficulty.json", "*/motor.safetensors"],

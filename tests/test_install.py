@@ -5,6 +5,7 @@ import os
 import site
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,10 @@ def installed(wheel, tmp_path_factory):
     (Path(own) / "others.pth").write_text("\n".join(site.getsitepackages()) + "\n")
     assert own in done(run(python, "-c", "import arrive; print(arrive.__file__)", cwd=folder))
     return folder / "bin" / "arrive"
+
+
+def test_the_wheel_says_that_it_has_types(wheel):
+    assert "arrive/py.typed" in zipfile.ZipFile(wheel).namelist()
 
 
 def test_shipped_policies_work_without_a_checkout(installed, tmp_path):
