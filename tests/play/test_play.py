@@ -289,13 +289,15 @@ def test_a_policy_that_nobody_measured_opens_on_level_ground(skill):
 
 @pytest.mark.parametrize("content", ["", "{}", "[]", '{"families": 3}', '{"families": {"gap": 0.4}}'])
 def test_a_damaged_measurement_is_told_and_the_policy_can_be_chosen(tmp_path, monkeypatch, content):
-    (tmp_path / "leaper").mkdir()
-    (tmp_path / "leaper" / "policy.pt").touch()
+    shipped(tmp_path, "leaper", "anymal_c")
+    shipped(tmp_path, "unreadable", "anymal_c")
+    (tmp_path / "unreadable" / "config.json").write_text(content[:-1])
     (tmp_path / "leaper" / "difficulty.json").write_text(content)
     with pytest.raises(ArriveError, match=r"cannot read .*difficulty\.json"):
         solved_beside(tmp_path / "leaper")
     monkeypatch.setattr(policies, "SHIPPED", tmp_path)
-    assert choices(str(RUN)) == {"leaper: measurement damaged": "leaper", "joystick": str(RUN)}
+    offered = {choice.name: choice.label for choice in choices(open_skill(str(RUN)))}
+    assert offered == {"leaper": "leaper: measurement damaged", str(RUN): "joystick"}
 
 
 @pytest.mark.parametrize("value", ["wide", None, True, 99.0, -1, float("nan"), [0.4]])

@@ -1,6 +1,5 @@
 """What a policy can do: the terrain it was trained on, and the hardest of it that it was measured to solve."""
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,6 +8,8 @@ from arrive import policies
 from arrive.config import Config, saved_config
 from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
+from arrive.errors import ArriveError
+from arrive.files import read_json
 from arrive.policies import CONFIG_NAME, DEFAULT, find_policy, shipped_names
 from arrive.policies.solved import TELLING, amounts, solved_beside, solved_in
 from arrive.terrain import FAMILIES, Layout
@@ -76,14 +77,17 @@ class Choice:
 
 
 def choices(current: Skill) -> tuple[Choice, ...]:
-    """The policies at hand: those that come with the package and the current one."""
-    shipped = {name: _robot_of(policies.SHIPPED / name) for name in shipped_names()}
+    """The policies at hand: the shipped ones whose configuration can be read, and the current one."""
+    shipped = {name: robot for name in shipped_names() if (robot := _robot_of(policies.SHIPPED / name))}
     robots = shipped | {current.name: current.config.robot}
     return tuple(Choice(name, robot, _label(name)) for name, robot in sorted(robots.items()))
 
 
-def _robot_of(run: Path) -> str:
-    return str(json.loads((run / CONFIG_NAME).read_text())["config"]["robot"])
+def _robot_of(run: Path) -> str | None:
+    try:
+        return str(read_json(run / CONFIG_NAME)["config"]["robot"])
+    except (ArriveError, KeyError, TypeError):
+        return None
 
 
 def _label(name: str) -> str:
