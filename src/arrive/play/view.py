@@ -14,9 +14,9 @@ BESIDE_DEG, BEHIND_DEG = 48.0, 20.0
 """Direction of the way to the target against that in which the camera looks, in a wide and in a narrow picture."""
 DOWN_DEG, STEEPER_DEG = 15.0, 24.0
 """How far down the camera looks in a wide and in a narrow picture, where the target lies above the robot."""
-ROBOT_RADIUS, TARGET_RADIUS = 0.8, 0.6
+ROBOT_RADIUS, TARGET_RADIUS = 1.25, 0.8
 """Radii of what is to be in the picture, around the base of ANYmal C and around the target [m]."""
-NEAREST, FARTHEST = 3.0, 12.0
+NEAREST, FARTHEST = 4.0, 14.0
 """Distance between the camera and what it looks at [m]."""
 SHARES = np.linspace(0.1, 0.6, 11)
 """The camera looks at one of these shares of the way from the robot to its target: that from which it sees both from
