@@ -145,7 +145,7 @@ def test_the_guides_task_judges_by_its_own_rule(tmp_path, capsys):
     assert record["config"]["task"]["still_speed"] == 0.2
     capsys.readouterr()
     cli.main(["list", "tasks"])
-    assert "whoever still moves" in capsys.readouterr().out
+    assert "a robot that still moves" in capsys.readouterr().out
     config = make_config(parse_families("flat"), task="halt", num_envs=2)
     env = build_env(config, threads=1)
     state, task = env.state, env.task

@@ -76,7 +76,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert "name at least one network" in refused(capsys, "actuator", "show")
     assert "no such file" in refused(capsys, "actuator", "show", "drive.safetensors")
     assert "cannot read" in refused(capsys, "actuator", "fit", "nothing.csv")
-    assert "an .npz or a .csv file" in refused(capsys, "actuator", "record", "-o", "log.txt")
+    assert "must end in .npz or .csv" in refused(capsys, "actuator", "record", "-o", "log.txt")
     assert "a multiple of 0.0002" in refused(capsys, "actuator", "record", "--period-s", "0.0005001")
     assert "--epochs must be at least 1" in refused(capsys, "actuator", "fit", "log.npz", "--epochs", "0")
     cli.main(["actuator", "record", "-o", "log.npz", "--joints", "5", "--seconds", "1.5"])

@@ -307,7 +307,7 @@ ROW = {"name": "height", "start": 0, "stop": 2, "unit": "m", "frame": "base", "s
 )
 def test_a_schema_that_differs_in_meaning_alone_is_refused(tmp_path, change, word):
     """The sizes fit, so that nothing but the schema could tell."""
-    with pytest.raises(ArriveError, match=f"'height'.*differs in {word}"):
+    with pytest.raises(ArriveError, match=f"'height'.*differ in {word}"):
         check_schema([ROW | change], [ROW], tmp_path)
     with pytest.raises(ArriveError, match="1 observation terms, this configuration has 2"):
         check_schema([ROW], [ROW, ROW], tmp_path)
