@@ -60,7 +60,8 @@ def read_script(path: Path) -> Script:
         raise ArriveError(f"{path} must begin with the line {','.join(COLUMNS)}, not {','.join(columns)!r}")
     if not rows:
         raise ArriveError(f"{path} has no stick positions: write one line per change, such as 0,1,0,")
-    times, sticks = [], []
+    times: list[float] = []
+    sticks: list[Joystick] = []
     for number, row in enumerate(rows, start=2):
         values = [_number(path, number, row[name]) for name in COLUMNS[:3]]
         heading = _number(path, number, row["heading_rad"]) if row["heading_rad"] else None

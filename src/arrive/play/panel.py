@@ -95,8 +95,8 @@ class Panel:
         """Set the controls to the playground's policy and ground."""
         family, value = playground.ground.family, playground.ground.value
         self._show_skill(playground.skill)
-        self._terrain.value = family.name
-        self._layout.value = next(label for label, layout in LAYOUTS.items() if layout == playground.ground.layout)
+        _set(self._terrain, family.name)
+        _set(self._layout, next(label for label, layout in LAYOUTS.items() if layout == playground.ground.layout))
         self._value.visible = varies(family)
         if varies(family):
             self._value.label, self._value.precision = parameter_words(family), slider_digits(family)
@@ -112,6 +112,7 @@ class Panel:
     def update(self, playground: Playground, pace: Pace, history: History) -> None:
         """Say how things stand."""
         self._status.content = status_html(playground, pace)
+        assert self._plots is not None, "show() comes first"
         self._plots.update(history, playground.time_s)
 
     def _add_actions(self, gui: viser.GuiApi) -> None:
@@ -141,9 +142,10 @@ class Panel:
         self._choices = choices(current)
         robots = tuple(sorted({choice.robot for choice in self._choices}))
         mine = next(choice for choice in self._choices if choice.name == current.name)
-        self._robot.options, self._robot.value, self._robot.visible = robots, mine.robot, len(robots) > 1
+        self._robot.options, self._robot.visible = robots, len(robots) > 1
+        _set(self._robot, mine.robot)
         self._policy.options = tuple(choice.label for choice in self._choices if choice.robot == mine.robot)
-        self._policy.value = mine.label
+        _set(self._policy, mine.label)
 
     def _change_robot(self) -> None:
         self._run(next(choice.name for choice in self._choices if choice.robot == self._robot.value))

@@ -157,7 +157,7 @@ class Scene:
             ("rim", rim, 0.012 - height, None),
             ("pole", pole, -height / 2, None),
         )
-        for part, mesh, z, opacity in parts:
+        marks = [
             scene.add_mesh_simple(
                 f"{name}/{part}",
                 mesh.vertices,
@@ -167,8 +167,10 @@ class Scene:
                 position=(0.0, 0.0, z),
                 cast_shadow=False,
             )
-        scene.add_icosphere(f"{name}/ball", radius=0.07, color=IDLE, cast_shadow=False)
-        self._marks = [scene.get_handle_by_name(f"{name}/{part}") for part in ("disc", "rim", "pole", "ball")]
+            for part, mesh, z, opacity in parts
+        ]
+        ball = scene.add_icosphere(f"{name}/ball", radius=0.07, color=IDLE, cast_shadow=False)
+        self._marks = (*marks, ball)
         return gizmo
 
 
