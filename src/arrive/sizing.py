@@ -13,6 +13,8 @@ from arrive.robots.robot import Robot
 from arrive.task.final import PositionConfig
 from arrive.task.rewards import Cost
 
+WIDEST_DEFAULT_RAD = 0.8
+"""Of a joint of ANYmal C at its default pose."""
 DIGITS = 4
 """Significant digits of scaled values, to keep them readable."""
 
@@ -51,6 +53,7 @@ def for_robot(config: Config, robot: Robot) -> Config:
             payload_kg=_scaled_pair(random.payload_kg, mass),
             push_speed=_scaled(random.push_speed, size**0.5),
             start_offset=_scaled(random.start_offset, size),
+            start_joint_scale=_scaled(random.start_joint_scale, _start_share(robot)),
         ),
         task=task,
     )

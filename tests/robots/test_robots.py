@@ -3,16 +3,18 @@
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from arrive.errors import ArriveError
 from arrive.physics import PhysicsConfig
-from arrive.physics.world import compile_world
+from arrive.physics.world import compile_world, sensor_layout
 from arrive.presets import robust
 from arrive.recipe import make_config
 from arrive.robots import ROBOTS
 from arrive.robots.robot import Robot
 from arrive.sizing import for_robot
 from arrive.task.heights import HeightGrid
+from arrive.task.randomisation import start_states
 from arrive.terrain import build_tile, get_family, parse_families
 from hexapod import HEXAPOD
 
@@ -21,9 +23,9 @@ WITH_REVERSE = [robot for robot in EVERY if robot.joint_reverse is not None and 
 """The base of ANYmal C is no front-back image of itself."""
 
 
-def on_flat_ground(robot: Robot) -> mujoco.MjModel:
+def on_flat_ground(robot: Robot, payload_kg: float = 0.0) -> mujoco.MjModel:
     tile = build_tile(get_family("flat"), 0.0, np.random.default_rng(0), "training")
-    return compile_world(robot, tile, PhysicsConfig())
+    return compile_world(robot, tile, PhysicsConfig(), payload_kg=payload_kg)
 
 
 def standing(robot: Robot, model: mujoco.MjModel) -> mujoco.MjData:
@@ -68,6 +70,41 @@ def test_stands_on_all_feet_and_stays_there(robot):
     mujoco.mj_step(model, data, 400)
     assert np.linalg.norm(data.qpos[:3] - start[:3]) < 0.002
     assert data.qpos[3] > 0.999
+
+
+@pytest.mark.parametrize("robot", EVERY, ids=lambda robot: robot.name)
+def test_stands_over_its_feet_under_the_heaviest_payload(robot):
+    """Legs that yield must not carry the weight off the feet: the hind legs then sink until they lie on the ground."""
+    model = on_flat_ground(robot, for_robot(robust(), robot).randomisation.payload_kg[1])
+    data = standing(robot, model)
+    mujoco.mj_step(model, data, 400)
+    feet = np.array([data.site(name).xpos[:2] for name in robot.foot_sites])
+    away = data.body(robot.base_body).subtree_com[:2] - feet.mean(0)
+    assert (np.abs(away) < 0.08 * np.ptp(feet, axis=0)).all()
+    assert robot.standing_height - data.qpos[2] < 0.1 * robot.standing_height
+    assert not others_in_contact(robot, data)
+
+
+@pytest.mark.parametrize("robot", EVERY, ids=lambda robot: robot.name)
+def test_stands_after_a_start_of_training(robot):
+    """A zero action brings every random start onto the feet, and no joint starts beyond its range."""
+    random = for_robot(robust(), robot).randomisation
+    model, starts = on_flat_ground(robot), start_states(40, robot, random, torch.Generator().manual_seed(0))
+    low, high = model.jnt_range[1:].T
+    for qpos, qvel in zip(*starts, strict=True):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, robot.default_joint_pos
+        assert ((low <= data.qpos[7:]) & (data.qpos[7:] <= high)).all()
+        mujoco.mj_step(model, data, 400)
+        assert not others_in_contact(robot, data)
+
+
+def others_in_contact(robot: Robot, data: mujoco.MjData) -> set[str]:
+    """Bodies other than feet that touch the ground."""
+    layout = sensor_layout(robot)
+    counts = np.concatenate([data.sensordata[layout.crash_contacts], data.sensordata[layout.collision_contacts]])
+    names = (*robot.crash_bodies, *robot.collision_bodies)
+    return {name for name, count in zip(names, counts, strict=True) if count}
 
 
 @pytest.mark.parametrize(
@@ -187,7 +224,7 @@ def test_a_robot_is_not_chosen_past_its_sizes():
 
 
 def test_a_preset_is_fitted_to_the_robots_size():
-    """ANYmal C keeps every figure; Go2 gets lengths times 0.7 and a payload of its share of the mass."""
+    """ANYmal C keeps every figure; Go2 gets lengths times 0.7, its share of the payload, and starts as far off."""
     plain, small = robust(), for_robot(robust(), ROBOTS["go2"])
     assert for_robot(plain, ROBOTS["anymal_c"]) == plain
     assert small.robot == "go2"
@@ -195,6 +232,9 @@ def test_a_preset_is_fitted_to_the_robots_size():
     assert small.randomisation.payload_kg[1] == pytest.approx(5.0 * 15.2064 / 52.13485, rel=1e-3)
     assert small.randomisation.push_speed == pytest.approx(0.7**0.5, rel=1e-3)
     assert small.task.target_distance == plain.task.target_distance
+    for config, robot in ((plain, ROBOTS["anymal_c"]), (small, ROBOTS["go2"])):
+        widest = max(map(abs, robot.default_joint_pos))
+        assert config.randomisation.start_joint_scale * widest == pytest.approx(0.4, rel=1e-3)
     before, after = HeightGrid(plain.observation.heights).points, HeightGrid(small.observation.heights).points
     np.testing.assert_allclose(after, 0.7 * before, atol=1e-6)
     # Torque over mass and length, and angular acceleration over gravity and length, cost the same.
