@@ -96,7 +96,7 @@ class Scene:
         with self._server.atomic():
             self.gizmo.position = position
             for part in self._marks:
-                part.color = colour
+                part.color = colour  # type: ignore[attr-defined]  # viser's stubs leave colours out
 
     def show_trail(self, trail: Trail, feet: int, visible: bool) -> None:
         """Draw where the feet were."""
