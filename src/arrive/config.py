@@ -68,11 +68,11 @@ class PPOConfig:
     """Lambda of the generalised advantage estimate."""
     clip: Positive = 0.2
     """Clip range of the probability ratio and of the value."""
-    learning_rate: Positive = 1e-3
-    """Initial learning rate, adapted to `desired_kl`."""
+    learning_rate: Annotated[float, Range(0.0, 1.0, above=True)] = 1e-3
+    """First learning rate; adapted to the KL divergence."""
     desired_kl: NotNegative = 0.01
-    """The learning rate is adapted to keep this KL divergence per update; 0 keeps the rate fixed."""
-    entropy: NotNegative = 0.005
+    """KL divergence per update that the learning rate is adapted to; 0 keeps the rate fixed."""
+    entropy: Annotated[float, Range(0.0, 10.0)] = 0.005
     """Weight of the entropy bonus."""
     value_loss: NotNegative = 1.0
     """Weight of the value loss."""
@@ -99,9 +99,8 @@ class ScheduleConfig:
     calm_gait: bool = False
     """Whether pushes and new targets within an episode begin only once a gait is found."""
     climb_std: Positive = 0.4
-    """Upper bound on the standard deviation of the action noise while the levels rise; it falls from this to
-    `finish_std`."""
-    climb_entropy: NotNegative = 0.0
+    """Bound on the action noise's standard deviation while the levels rise; it falls from this to `finish_std`."""
+    climb_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Weight of the entropy bonus while the levels rise."""
     climb_kl: NotNegative = 0.02
     """KL divergence per update while the levels rise."""

@@ -52,11 +52,13 @@ def _figure(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:g}"
 
 
-Positive = Annotated[float, Range(0.0, above=True)]
-NotNegative = Annotated[float, Range(0.0)]
-NotPositive = Annotated[float, Range(high=0.0)]
+LARGEST = 1e6
+"""No length, speed, time, weight or gain is larger, and float32 still has room for its square and a sum of these."""
+Positive = Annotated[float, Range(0.0, LARGEST, above=True)]
+NotNegative = Annotated[float, Range(0.0, LARGEST)]
+NotPositive = Annotated[float, Range(-LARGEST, 0.0)]
 Share = Annotated[float, Range(0.0, 1.0)]
-Count = Annotated[int, Range(1)]
+Count = Annotated[int, Range(1, 2**31 - 1)]
 SEED = Range(0, 2**32 - 1)
 """Of a seed: what NumPy and torch both take."""
 Interval = tuple[float, float]
@@ -149,7 +151,7 @@ def _words(hint: Any) -> str:
     if is_interval(base):
         return f"two numbers, the smaller first, {limits}"
     if get_origin(base) is tuple:
-        return "a list of at least one" + (f" number, {limits}" if limits != Range() else "")
+        return "a list of at least one" + (f" number, {limits}" if limits != parted(float)[1] else "")
     if get_origin(base) is Literal:
         return ", ".join(map(str, get_args(base)))
     return {bool: "true or false", str: ""}.get(base, str(limits))
@@ -160,7 +162,7 @@ def split_range(hint: Any) -> tuple[Any, Range]:
     if get_origin(hint) is Annotated:
         base, *notes = get_args(hint)
         return base, next(note for note in notes if isinstance(note, Range))
-    return hint, Range()
+    return hint, Range(-LARGEST, LARGEST)
 
 
 def rows(config: Any, where: str = "") -> Iterator[Row]:
