@@ -151,7 +151,7 @@ def _words(hint: Any) -> str:
     if is_interval(base):
         return f"two numbers, the smaller first, {limits}"
     if get_origin(base) is tuple:
-        return "a list of at least one" + (f" number, {limits}" if limits != parted(float)[1] else "")
+        return "a list of at least one" + (f" number, {limits}" if limits != split_range(float)[1] else "")
     if get_origin(base) is Literal:
         return ", ".join(map(str, get_args(base)))
     return {bool: "true or false", str: ""}.get(base, str(limits))

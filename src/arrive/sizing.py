@@ -14,7 +14,7 @@ from arrive.task.final import PositionConfig
 from arrive.task.rewards import Cost
 
 WIDEST_DEFAULT_RAD = 0.8
-"""Of a joint of ANYmal C at its default pose."""
+"""Largest joint angle of ANYmal C's default pose [rad]."""
 DIGITS = 4
 """Significant digits of scaled values, to keep them readable."""
 
@@ -61,6 +61,15 @@ def for_robot(config: Config, robot: Robot) -> Config:
 
 def _scaled_pair(pair: Interval, factor: float) -> Interval:
     return _scaled(pair[0], factor), _scaled(pair[1], factor)
+
+
+def _start_share(robot: Robot) -> float:
+    """Factor on the start's share of the default pose, 1 or less, that gives more bent legs ANYmal C's angle.
+
+    Half of a calf at -1.5 rad would take it beyond its range and the foot into the ground.
+    """
+    widest = max(abs(position) for position in robot.default_joint_pos)
+    return min(1.0, WIDEST_DEFAULT_RAD / widest) if widest else 1.0
 
 
 def _scaled(value: float, factor: float) -> float:
