@@ -1,6 +1,9 @@
 """The shipped policies: each comes from its preset, by one command."""
 
 import json
+import shutil
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -9,6 +12,9 @@ from arrive.policies import SHIPPED, shipped_names
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
 
+ROOT = Path(__file__).parents[1]
+LARGEST_TREE = 25e6
+"""Of all files in git [bytes]: a clone must stay quick."""
 OF_THE_MACHINE = {"ppo.precision"}
 """`auto` in a preset: which one it was is the machine's."""
 OLDER = {"gap", "joystick", "pit", "walk"}
@@ -31,3 +37,11 @@ def test_a_policys_configuration_is_its_presets_but_for_seed_and_terrain(name):
     ours, theirs = leaves(to_dict(found)), leaves(to_dict(expected))
     differ = {field for field in ours | theirs if ours.get(field) != theirs.get(field)} - OF_THE_MACHINE
     assert bool(differ) is (name in OLDER), differ
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="not a git checkout")
+def test_the_tree_is_small():
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
+    files = [ROOT / name.decode() for name in listed.split(b"\0") if name]
+    assert len(files) > 100
+    assert sum(path.stat().st_size for path in files if path.is_file()) < LARGEST_TREE
