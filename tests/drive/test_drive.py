@@ -60,7 +60,7 @@ def test_a_script_holds_each_stick_until_the_next(tmp_path):
     [
         ("", "must begin with the line"),
         ("time,x,y,heading\n0,1,0,0\n", "must begin with the line"),
-        (HEADER, "no sticks"),
+        (HEADER, "no stick positions"),
         (HEADER + "0,1,0,\n1,fast,0,\n", "line 3: 'fast'"),
         (HEADER + "0,1\n", "line 2: None"),
         (HEADER + "0,nan,0,\n", "line 2: 'nan'"),

@@ -669,7 +669,7 @@ def test_list_says_what_the_shipped_policies_can(capsys, monkeypatch):
         solved = solved_beside(policies.SHIPPED / name)
         assert "anymal_c, trained on" in said
         assert all(f"{family} {value:.3g}" in said for family, value in solved.items())
-        assert ("not measured" in said) == (not (policies.SHIPPED / name / "difficulty.json").exists())
+        assert ("not evaluated" in said) == (not (policies.SHIPPED / name / "difficulty.json").exists())
 
 
 def test_list_keeps_units(capsys, monkeypatch):

@@ -67,7 +67,7 @@ def _ability(policy: str) -> str:
     stick = " with moving targets, for a joystick" if moving else ""
     trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
     if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
-        return f"not measured; {trained}"
+        return f"not evaluated; {trained}"
     try:
         solved = amounts(solved_beside(SHIPPED / policy))
     except ArriveError as error:
