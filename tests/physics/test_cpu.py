@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from mujoco.batch import SimulationError
-from torch import Tensor
 
 from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
@@ -19,13 +18,12 @@ from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS
-from arrive.robots import Robot, get_robot
+from arrive.robots import Robot
 from arrive.task.final import FinalConfig
 from arrive.task.rewards import Approach, Cost, Reward
 from arrive.terrain import FAMILIES, build_tile
+from engines import DEFAULT, ROBOT, assert_same_reading, disturb, standing
 
-ROBOT = get_robot("anymal_c")
-DEFAULT = torch.tensor(ROBOT.default_joint_pos)
 STATES = ("qpos", "qvel", "qacc_warmstart", "ctrl", "time")
 
 
@@ -44,12 +42,6 @@ def an_engine(num_envs: int, families: tuple[str, ...] = ("flat",), threads: int
     return engine
 
 
-def standing(n: int, height: float) -> tuple[Tensor, Tensor]:
-    qpos = torch.zeros(n, 19, dtype=torch.double)
-    qpos[:, 2], qpos[:, 3], qpos[:, 7:] = height, 1.0, DEFAULT
-    return qpos, torch.zeros(n, 18, dtype=torch.double)
-
-
 def momentum(engine: CpuPhysics, env_id: int) -> tuple[np.ndarray, np.ndarray]:
     """Linear [kg m/s] and angular momentum about the centre of mass [kg m^2/s] of a robot."""
     model, state = engine.model_of_env(env_id), engine.state_dict()
@@ -65,8 +57,7 @@ def assert_same(first: CpuPhysics, second: CpuPhysics, envs: list[int] | slice =
     a, b = first.state_dict(), second.state_dict()
     for name in STATES:
         assert torch.equal(a[name][envs], b[name][envs]), name
-    for name, value in vars(first.read()).items():
-        assert torch.equal(value[envs], vars(second.read())[name][envs]), name
+    assert_same_reading(first, second, envs)
 
 
 class TestAccuracy:
@@ -178,19 +169,6 @@ class TestAccuracy:
         expected = torch.tensor([[0.0, 0.0, 0.0], [0.5, -0.25, 0.0], [0.0, 0.0, 0.0]])
         assert torch.equal(engine.read().base_lin_vel_w, expected)
         assert not engine.read().joint_vel.any()
-
-
-def disturb(engine: CpuPhysics, step: int, rng: np.random.Generator, num_worlds: int) -> None:
-    """Random joint targets; now and then robots move to other worlds and start again, or are pushed."""
-    n = engine.num_envs
-    if step % 7 == 3:
-        ids = torch.from_numpy(np.flatnonzero(rng.random(n) < 0.4))
-        engine.place(ids, torch.from_numpy(rng.integers(0, num_worlds, len(ids))))
-        qpos, qvel = standing(len(ids), ROBOT.standing_height + 0.05)
-        engine.reset(ids, qpos, qvel + torch.from_numpy(rng.normal(0, 0.3, (len(ids), 18))))
-    if step % 5 == 2:
-        engine.push(torch.tensor([0, n - 1]), torch.from_numpy(rng.normal(0, 0.5, (2, 3))))
-    engine.step(DEFAULT + torch.from_numpy(rng.normal(0, 0.5, (n, 12))).float())
 
 
 MIXED = ("flat", "rough", "stairs", "pit", "gap", "obstacles", "steps", "slope_down")

@@ -24,13 +24,11 @@ from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
 from arrive.physics.world import compile_world
 from arrive.presets import robust
-from arrive.robots import get_robot
 from arrive.simulation import SimulatedRobot
 from arrive.terrain import FAMILIES, build_tile
 from arrive.terrain.ground import ground_of
+from engines import DEFAULT, ROBOT, standing
 
-ROBOT = get_robot("anymal_c")
-DEFAULT = torch.tensor(ROBOT.default_joint_pos)
 MOTOR = ROBOT.motors[0]
 NETWORK = PhysicsConfig(motor="network", motor_file="drive.safetensors")
 MAKERS = {"lstm": lstm, "taps": taps}
@@ -51,12 +49,6 @@ def engine(
     )
     physics.reset(torch.arange(num_envs), *standing(num_envs, 5.0))
     return physics
-
-
-def standing(n: int, height: float) -> tuple[Tensor, Tensor]:
-    qpos = torch.zeros(n, 19, dtype=torch.double)
-    qpos[:, 2], qpos[:, 3], qpos[:, 7:] = height, 1.0, DEFAULT
-    return qpos, torch.zeros(n, 18, dtype=torch.double)
 
 
 def targets(n: int, seed: int) -> Tensor:

@@ -23,8 +23,8 @@ from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS, robust
-from arrive.robots import get_robot
 from arrive.terrain import FAMILIES, build_tile
+from engines import DEFAULT, ROBOT, assert_same_reading, disturb, standing
 from loading import ROOT
 
 pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
@@ -38,8 +38,6 @@ from arrive.physics.warp_contacts import drop_false_contacts
 
 pytestmark = pytest.mark.warp
 
-ROBOT = get_robot("anymal_c")
-DEFAULT = torch.tensor(ROBOT.default_joint_pos)
 CPU = torch.device("cpu")
 ONE_STEP = PhysicsConfig(decimation=1)
 SAMPLES = 6
@@ -66,12 +64,6 @@ def pair(families: tuple[str, ...], num_envs: int, config: PhysicsConfig = ONE_S
         engine.place(everyone, everyone % len(families))
         engine.reset(everyone, *standing(num_envs, ROBOT.standing_height))
     return engines
-
-
-def standing(n: int, height: float) -> tuple[Tensor, Tensor]:
-    qpos = torch.zeros(n, 19, dtype=torch.double)
-    qpos[:, 2], qpos[:, 3], qpos[:, 7:] = height, 1.0, DEFAULT
-    return qpos, torch.zeros(n, 18, dtype=torch.double)
 
 
 def stumble(engine: CpuPhysics, steps: int, rng: np.random.Generator) -> Tensor:
@@ -260,24 +252,6 @@ def ground(model: mujoco.MjModel, x: float) -> float:
     return max(hits)
 
 
-def disturb(engine: WarpPhysics, step: int, rng: np.random.Generator, num_worlds: int) -> None:
-    """Random joint targets; now and then robots move to other worlds and start again, or are pushed."""
-    n = engine.num_envs
-    if step % 7 == 3:
-        ids = torch.from_numpy(np.flatnonzero(rng.random(n) < 0.4))
-        engine.place(ids, torch.from_numpy(rng.integers(0, num_worlds, len(ids))))
-        qpos, qvel = standing(len(ids), ROBOT.standing_height + 0.05)
-        engine.reset(ids, qpos, qvel + torch.from_numpy(rng.normal(0, 0.3, (len(ids), 18))))
-    if step % 5 == 2:
-        engine.push(torch.tensor([0, n - 1]), torch.from_numpy(rng.normal(0, 0.5, (2, 3))))
-    engine.step(DEFAULT + torch.from_numpy(rng.normal(0, 0.5, (n, 12))).float())
-
-
-def assert_same(first: WarpPhysics, second: WarpPhysics, envs: list[int] | slice = slice(None)) -> None:
-    for name, value in vars(first.read()).items():
-        assert torch.equal(value[envs], vars(second.read())[name][envs]), name
-
-
 MIXED = ("flat", "rough", "stairs", "pit")
 
 
@@ -293,7 +267,7 @@ class TestEngine:
         for step in range(12, 24):
             for engine, chance in zip(engines, (rng, other_rng), strict=True):
                 disturb(engine, step, chance, len(MIXED))
-        assert_same(*engines)
+        assert_same_reading(*engines)
         assert engines[0].read().foot_contacts.any()
 
     @pytest.mark.parametrize("speed", [float("nan"), 1e12])
@@ -309,12 +283,12 @@ class TestEngine:
                 assert engine.read().finite.tolist() == [
                     not (engine is faulty and step >= 3 and i == 3) for i in range(8)
                 ]
-        assert_same(healthy, faulty, others)
+        assert_same_reading(healthy, faulty, others)
         for engine in (healthy, faulty):
             engine.reset(torch.tensor([3]), *standing(1, ROBOT.standing_height))
             engine.step(DEFAULT.expand(8, 12))
         assert faulty.read().finite.all()
-        assert_same(healthy, faulty)
+        assert_same_reading(healthy, faulty)
 
     def test_a_retired_robot_stays_where_it_was(self):
         _, engine = pair(MIXED, 4)
