@@ -14,7 +14,7 @@ from arrive.config import Config, RandomisationConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.episode import Episode
-from arrive.evaluation.playing import Pilot, Played, Progress, episode, play
+from arrive.evaluation.playing import Pilot, Played, Progress, episode, in_part, play
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.memory import check_room
@@ -199,11 +199,7 @@ def evaluate(
         policy.check(env)
         watched = _one_per_cell(part, pictures) if setting.record else torch.tensor([], dtype=torch.long)
         acting = policy if pilot is None else pilot(env)
-
-        def told(done: int, total: int, index: int = index) -> None:
-            progress(index * total + done, len(parts) * total)
-
-        played.append(play(env, acting, watched, told))
+        played.append(play(env, acting, watched, in_part(progress, index, len(parts))))
         for column, env_id in enumerate(watched.tolist()):
             cell = int(part[env_id])
             pictures[cell] = episode(env, played[-1], column, cells[cell].caption)

@@ -8,7 +8,7 @@ from arrive.config import RandomisationConfig, to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, evaluate
 from arrive.evaluation.episode import Episode
-from arrive.evaluation.playing import Progress
+from arrive.evaluation.playing import Progress, in_part
 from arrive.evaluation.usage import usage_of
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
@@ -111,12 +111,10 @@ def measure(
     setting = Setting("evaluation", TRIAL, randomised, VARIANTS)
     answers: dict[str, Arrival] = {}
     for index, family in enumerate(families):
-
-        def advanced(done: int, total: int, index: int = index) -> None:
-            progress(index * total + done, len(families) * total)
-
         cells = [chosen[family.name]] if family.name in chosen else cells_of(family, levels)
-        answers[family.name] = evaluate(policy, cells, episodes, seed, threads, advanced, setting)
+        answers[family.name] = evaluate(
+            policy, cells, episodes, seed, threads, in_part(progress, index, len(families)), setting
+        )
     usage = {name: usage_of(answer, policy.config.physics.control_dt) for name, answer in answers.items()}
     results = {name: answer.results for name, answer in answers.items()}
     return Measurement(

@@ -17,6 +17,11 @@ from arrive.task.final import arrival_radius
 Progress = Callable[[int, int], None]
 
 
+def in_part(progress: Progress, index: int, parts: int) -> Progress:
+    """The progress of one of several equal parts, told as that of the whole."""
+    return lambda done, total: progress(index * total + done, parts * total)
+
+
 class Pilot(Protocol):
     """What acts for the robots of an environment: a `Policy`, or something in its place."""
 
