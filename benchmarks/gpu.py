@@ -87,7 +87,7 @@ def differences(family: str, device: torch.device) -> dict[str, float]:
     config = replace(config, num_envs=CHECK_ROBOTS, terrain=terrain)
     env = build_env(config, Placement(assignment=deal_levels(config)), threads=1)
     once = replace(config.physics, decimation=1, engine="warp")
-    reference = CpuPhysics(env.robot, env.pool.worlds, CHECK_ROBOTS, 1, 1)
+    reference = CpuPhysics(env.robot, env.pool.worlds, once, CHECK_ROBOTS, 1)
     engine = make_physics(env.robot, env.pool.worlds, once, CHECK_ROBOTS, 1, device)
     generator = torch.Generator().manual_seed(1)
     rows = []

@@ -27,7 +27,7 @@ from arrive.evaluation.difficulty import measure
 from arrive.files import write_json
 from arrive.learning.policy import load_policy
 from arrive.physics.device import DeviceWish, choose_device
-from arrive.physics.options import LEAST_TIME_STEPS, PhysicsConfig
+from arrive.physics.options import PhysicsConfig, with_decimation
 
 FINE_STEP_S = 0.001
 LONG_STEPS = (3, 2)
@@ -69,10 +69,8 @@ def variants(trained: PhysicsConfig, arguments: Arguments) -> Iterator[Variant]:
                 yield label, physics, cpu
         elif group == "steps":
             for decimation in LONG_STEPS:
-                step = trained.control_dt / decimation
-                contact_s = max(trained.contact_time_s, LEAST_TIME_STEPS * step)
-                physics = replace(trained, timestep_s=step, decimation=decimation, contact_time_s=contact_s)
-                yield f"{1e3 * step:.3g} ms x {decimation}", physics, cpu
+                physics = with_decimation(trained, decimation)
+                yield f"{1e3 * physics.timestep_s:.3g} ms x {decimation}", physics, cpu
         elif group == "motor":
             yield "PD with the effort limit alone", replace(trained, motor="ideal"), cpu
         elif group == "network":

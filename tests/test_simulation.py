@@ -50,7 +50,7 @@ def test_importing_and_stepping_needs_no_torch():
 def test_physics_is_bit_identical_to_trainings():
     robot = SimulatedRobot(CONFIG, ground_of("rough", 9).build(), friction=0.8, payload_kg=2.0)
     world = compile_world(robot.robot, robot.tile, CONFIG.physics, 0.8, 2.0)
-    physics = CpuPhysics(robot.robot, [world], 1, CONFIG.physics.decimation, threads=1)
+    physics = CpuPhysics(robot.robot, [world], CONFIG.physics, 1, threads=1)
     start = torch.from_numpy(robot.data.qpos.copy())[None]
     physics.reset(torch.tensor([0]), start, torch.zeros(1, 18, dtype=torch.double))
     rng, crashes = np.random.default_rng(0), 0

@@ -4,6 +4,7 @@ The parameters of tasks, rewards, observations and physics are defined beside th
 ranges of all fields before anything is built.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -12,8 +13,8 @@ from typing import Annotated, Any, Literal
 from arrive import fields
 from arrive.errors import ArriveError
 from arrive.fields import SEED, Count, NotNegative, Positive, Range, Rule, Share, from_dict, override, to_dict
-from arrive.physics.options import PhysicsConfig
-from arrive.robots import get_robot
+from arrive.physics.options import LEAST_TIME_STEPS, PhysicsConfig
+from arrive.robots import Robot, get_robot
 from arrive.task.final import FinalConfig
 from arrive.task.observations import ObservationConfig
 from arrive.task.randomisation import RandomisationConfig
@@ -98,6 +99,9 @@ class ScheduleConfig:
     """Whether to use the schedule."""
     calm_gait: bool = False
     """Whether pushes and new targets within an episode begin only once a gait is found."""
+    decimation: Annotated[int, Range(0)] = 0
+    """Physics steps per policy step before the finish: fewer and longer ones than `physics.decimation` make training
+    faster. 0 for `physics.decimation` from the start. It has no effect with `physics.motor=network`."""
     climb_std: Positive = 0.4
     """Bound on the action noise's standard deviation while the levels rise; it falls from this to `finish_std`."""
     climb_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0
@@ -144,6 +148,7 @@ class Config:
         """Conditions between fields."""
         batch, families = self.num_envs * self.ppo.num_steps, len(self.terrain.families)
         mass, step = base_mass(self.robot), self.physics.control_dt
+        fewest = fewest_steps(get_robot(self.robot), step)
         offset, level = self.randomisation.start_offset, START_RADIUS * get_robot(self.robot).size
         return (
             Rule("ppo.mini_batches", f"at most the batch of {batch}", self.ppo.mini_batches <= batch),
@@ -160,6 +165,11 @@ class Config:
             ),
             Rule("randomisation.start_offset", f"at most {level:g}, where the ground is level", offset <= level),
             Rule("task.episode_s", f"at least one policy step, {step:g} s", self.task.episode_s >= step),
+            Rule(
+                "schedule.decimation",
+                f"0, or at least {fewest}: the limits of the robot's joints need physics steps that short",
+                self.schedule.decimation == 0 or self.schedule.decimation >= fewest,
+            ),
         )
 
 
@@ -168,6 +178,15 @@ def base_mass(robot: str) -> float:
     """Mass of a robot's base without payload [kg]."""
     built = get_robot(robot)
     return float(built.build_spec(False).compile().body(built.base_body).mass[0])
+
+
+@cache
+def fewest_steps(robot: Robot, control_dt: float) -> int:
+    """Fewest physics steps per policy step for which MuJoCo takes the robot's joint limits as they are."""
+    model = robot.build_spec(False).compile()
+    time_s = model.jnt_solref[model.jnt_limited.astype(bool), 0]
+    shortest = time_s[time_s > 0.0].min(initial=math.inf)
+    return max(math.ceil(LEAST_TIME_STEPS * control_dt / shortest - 1e-9), 1)
 
 
 def saved_config(data: dict[str, Any], source: Path) -> Config:

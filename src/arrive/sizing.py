@@ -7,7 +7,7 @@ Values of the task (distances, episode lengths, arrival radius) are not scaled.
 
 from dataclasses import replace
 
-from arrive.config import Config
+from arrive.config import Config, fewest_steps
 from arrive.fields import Interval
 from arrive.robots.robot import Robot
 from arrive.task.final import PositionConfig
@@ -56,7 +56,14 @@ def for_robot(config: Config, robot: Robot) -> Config:
             start_joint_scale=_scaled(random.start_joint_scale, _start_share(robot)),
         ),
         task=task,
+        schedule=replace(config.schedule, decimation=_steps(config, robot)),
     )
+
+
+def _steps(config: Config, robot: Robot) -> int:
+    """The schedule's physics steps per policy step, and more if the robot's joint limits need shorter ones."""
+    wanted = config.schedule.decimation
+    return max(wanted, fewest_steps(robot, config.physics.control_dt)) if wanted else 0
 
 
 def _scaled_pair(pair: Interval, factor: float) -> Interval:

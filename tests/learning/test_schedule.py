@@ -46,6 +46,21 @@ def test_without_a_finish_the_last_values_are_those_of_the_climb():
     assert (last.stage, last.crash_cost, last.review) == ("finish", 6.0, 0.25)
 
 
+def test_physics_steps_are_long_until_the_finish():
+    config = robust()
+    assert config.schedule.decimation < config.physics.decimation
+    found = [settings_at(config, spent, seeking).decimation for spent in (0.1, 0.7) for seeking in (1.0, 0.0)]
+    assert found == 4 * [config.schedule.decimation]
+    last = config.schedule.finish_from + 0.01
+    assert [settings_at(config, last, seeking).decimation for seeking in (1.0, 0.0)] == 2 * [config.physics.decimation]
+
+
+def test_an_actuator_network_keeps_its_own_step():
+    config = robust()
+    config = replace(config, physics=replace(config.physics, motor="network", motor_file="drive.safetensors"))
+    assert {settings_at(config, spent, 0.0).decimation for spent in (0.1, 0.9)} == {config.physics.decimation}
+
+
 def test_a_calm_gait_is_neither_pushed_nor_sent_elsewhere():
     """Until the gait is found only, and only where the preset asks for it."""
     config = joystick()

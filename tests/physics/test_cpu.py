@@ -16,6 +16,7 @@ from arrive.errors import ArriveError
 from arrive.fields import check
 from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
+from arrive.physics.options import with_decimation
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS
 from arrive.robots import Robot
@@ -35,7 +36,7 @@ def world(family: str = "flat") -> mujoco.MjModel:
 
 
 def an_engine(num_envs: int, families: tuple[str, ...] = ("flat",), threads: int = 1) -> CpuPhysics:
-    engine = CpuPhysics(ROBOT, [world(name) for name in families], num_envs, decimation=4, threads=threads)
+    engine = CpuPhysics(ROBOT, [world(name) for name in families], PhysicsConfig(), num_envs, threads)
     everyone = torch.arange(num_envs)
     engine.place(everyone, everyone % len(families))
     engine.reset(everyone, *standing(num_envs, ROBOT.standing_height))
@@ -127,7 +128,7 @@ class TestAccuracy:
         """The front legs swing back and the hind ones forward until shanks cross; N_c counts what touches."""
         tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
         model = compile_world(ROBOT, tile, PhysicsConfig(leg_contacts=collide))
-        engine = CpuPhysics(ROBOT, [model], 1, decimation=4, threads=1)
+        engine = CpuPhysics(ROBOT, [model], PhysicsConfig(), 1, threads=1)
         qpos, qvel = standing(1, 3.0)
         engine.reset(torch.arange(1), qpos, qvel)
         targets = torch.tensor([[0.0, 1.3, -0.4, 0.0, -1.3, 0.4] * 2])
@@ -333,6 +334,27 @@ def test_payload_scales_mass_and_inertia_however_the_robot_gives_them():
         np.testing.assert_allclose(loaded.ipos, plain.ipos, atol=1e-12, err_msg=describe)
         with pytest.raises(ArriveError, match=r"leaves nothing of the .* kg of anymal_c's base.*payload_kg"):
             compile_world(robot, tile, PhysicsConfig(), payload_kg=-float(plain.mass[0]))
+
+
+def test_long_steps_are_those_of_a_world_compiled_with_them():
+    """And back again, bit for bit."""
+    tile = build_tile(FAMILIES["rough"], 0.1, np.random.default_rng(0), "training")
+    standard, long = PhysicsConfig(), with_decimation(PhysicsConfig(), 2)
+    assert (long.timestep_s, long.contact_time_s, long.control_dt) == (0.01, 0.02, standard.control_dt)
+    changed = CpuPhysics(ROBOT, [compile_world(ROBOT, tile, standard)], standard, 4)
+    for config in (long, standard):
+        changed.set_decimation(config.decimation)
+        compiled = CpuPhysics(ROBOT, [compile_world(ROBOT, tile, config)], config, 4)
+        rng = np.random.default_rng(0)
+        for engine in (changed, compiled):
+            engine.reset(torch.arange(4), *standing(4, ROBOT.standing_height))
+        for _ in range(15):
+            targets = DEFAULT + torch.from_numpy(rng.normal(0, 0.4, (4, 12))).float()
+            for engine in (changed, compiled):
+                engine.step(targets)
+        assert_same(changed, compiled)
+        assert changed.read().foot_contacts.any()
+        assert changed.state_dict()["time"].tolist() == pytest.approx(4 * [0.3])
 
 
 def test_time_constants_that_mujoco_would_raise_silently_are_refused():

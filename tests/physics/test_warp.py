@@ -21,6 +21,7 @@ from arrive.errors import ArriveError
 from arrive.learning.policy import load_policy
 from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
+from arrive.physics.options import with_decimation
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS, robust
 from arrive.terrain import FAMILIES, build_tile
@@ -44,6 +45,12 @@ SAMPLES = 6
 """States of every robot that the engines are compared in."""
 
 
+def own_world(config: PhysicsConfig) -> mujoco.MjModel:
+    """Flat ground that no other engine has."""
+    tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
+    return compile_world(ROBOT, tile, config)
+
+
 @cache
 def world(family: str, config: PhysicsConfig = ONE_STEP, friction: float = 0.8, payload: float = 3.0) -> mujoco.MjModel:
     kind = FAMILIES[family]
@@ -56,7 +63,7 @@ def pair(families: tuple[str, ...], num_envs: int, config: PhysicsConfig = ONE_S
     """Both engines with the environments dealt to the families, robots standing."""
     worlds = [world(name, config) for name in families]
     engines = (
-        CpuPhysics(ROBOT, worlds, num_envs, config.decimation, 1),
+        CpuPhysics(ROBOT, worlds, config, num_envs, 1),
         WarpPhysics(ROBOT, worlds, config, num_envs, CPU),
     )
     everyone = torch.arange(num_envs)
@@ -225,7 +232,7 @@ class TestWorlds:
         config = PhysicsConfig()
         worlds = [world("flat", config, friction, payload) for friction in (0.3, 1.0) for payload in (-5.0, 5.0)]
         ways = []
-        for engine in (CpuPhysics(ROBOT, worlds, 4, 4, 1), WarpPhysics(ROBOT, worlds, config, 4, CPU)):
+        for engine in (CpuPhysics(ROBOT, worlds, config, 4, 1), WarpPhysics(ROBOT, worlds, config, 4, CPU)):
             engine.place(torch.arange(4), torch.arange(4))
             qpos, qvel = standing(4, ROBOT.standing_height)
             qvel[:, 0] = 1.5
@@ -269,6 +276,20 @@ class TestEngine:
                 disturb(engine, step, chance, len(MIXED))
         assert_same_reading(*engines)
         assert engines[0].read().foot_contacts.any()
+
+    def test_long_steps_are_those_of_an_engine_made_for_them(self):
+        """And back again. Bit for bit on the CPU device."""
+        standard = PhysicsConfig()
+        changed = WarpPhysics(ROBOT, [own_world(standard)], standard, 4, CPU)
+        for config in (with_decimation(standard, 2), standard):
+            changed.set_decimation(config.decimation)
+            made = WarpPhysics(ROBOT, [own_world(config)], config, 4, CPU)
+            for engine in (changed, made):
+                engine.reset(torch.arange(4), *standing(4, ROBOT.standing_height))
+                for step in range(8):
+                    engine.step(DEFAULT.expand(4, 12) + 0.1 * (step % 3 - 1))
+            assert_same_reading(changed, made)
+            assert changed.state_dict()["time"].tolist() == pytest.approx(4 * [0.16])
 
     @pytest.mark.parametrize("speed", [float("nan"), 1e12])
     def test_a_robot_that_diverges_is_reported_and_harms_no_other(self, speed):

@@ -1,10 +1,13 @@
 """What holds of every robot, on those that are built in and on one with six legs of four joints."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 import torch
 
+from arrive.config import check
 from arrive.errors import ArriveError
 from arrive.physics import PhysicsConfig
 from arrive.physics.world import compile_world, sensor_layout
@@ -221,6 +224,24 @@ def test_a_robot_is_not_chosen_past_its_sizes():
     with pytest.raises(ArriveError, match=r"robot cannot be set with --set: choose it with --robot"):
         make_config(parse_families("flat"), overrides=("robot=go2",))
     assert make_config(parse_families("flat"), robot="go2").robot == "go2"
+
+
+def test_long_steps_suit_the_robots_joint_limits(monkeypatch):
+    """MuJoCo would raise time constants below two physics steps silently."""
+    robot = ROBOTS["anymal_c"]
+
+    def hard(visuals: bool) -> mujoco.MjSpec:
+        spec = robot.build_spec(visuals)
+        for joint in spec.joints:
+            joint.solref_limit[0] = 0.01
+        return spec
+
+    monkeypatch.setitem(ROBOTS, "hard", replace(robot, name="hard", build_spec=hard))
+    assert robust().schedule.decimation == for_robot(robust(), robot).schedule.decimation == 2
+    config = for_robot(robust(), ROBOTS["hard"])
+    assert config.schedule.decimation == 4
+    with pytest.raises(ArriveError, match=r"schedule.decimation must be 0, or at least 4: the limits .* not 3"):
+        check(replace(config, schedule=replace(config.schedule, decimation=3)))
 
 
 def test_a_preset_is_fitted_to_the_robots_size():

@@ -34,7 +34,7 @@ class RawEngine:
     """`mujoco.batch` alone, fed with the models, states and actions that an environment's physics is about to step."""
 
     def __init__(self, physics: Physics, config: PhysicsConfig, threads: int):
-        self._physics, self._decimation = physics, config.decimation
+        self._physics = physics
         self._takes_targets = config.motor != "network"
         self._batch = Batch(physics.model_of_env(0), physics.num_envs, threads)
         self._views = {name: self._batch.bind(name) for name in STATE_FIELDS}
@@ -57,7 +57,7 @@ class RawEngine:
 
     def step(self) -> None:
         """One policy step of every environment."""
-        self._batch.step(None, nstep=self._decimation)
+        self._batch.step(None, nstep=self._physics.decimation)
 
 
 def bench_throughput(

@@ -54,13 +54,17 @@ class Facing(nn.Module):
                 buffer[row] = torch.as_tensor(getattr(reflection, name))
 
     def observation(self, observation: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """The reflected (n, size) observation, and for each reflection (n, 1) bool: it was applied."""
-        needed = []
+        """The reflected (n, size) observation, and for each reflection (n, 1) bool: it was applied.
+
+        It works on the transpose, where an entry of all observations is one row that is copied as a whole. That is
+        several times as fast on a CPU as choosing columns.
+        """
+        entries, needed = observation.t().contiguous(), []
         for row in range(len(self.side)):
-            needed.append(observation[:, self.side[row]].unsqueeze(-1) < 0.0)
-            reflected = observation[:, self.observation_index[row]] * self.observation_sign[row]
-            observation = torch.where(needed[-1], reflected, observation)
-        return observation, needed
+            needed.append(entries[self.side[row]] < 0.0)
+            reflected = entries.index_select(0, self.observation_index[row]) * self.observation_sign[row].unsqueeze(-1)
+            entries = torch.where(needed[-1], reflected, entries)
+        return entries.t().contiguous(), [flags.unsqueeze(-1) for flags in needed]
 
     def action(self, action: Tensor, needed: list[Tensor]) -> Tensor:
         """The (n, joints) action reflected back, which is the same reflection again."""

@@ -163,6 +163,7 @@ class Trainer:
         settings = settings_at(self.config, spent, self.env.exploration.paid)
         self.env.review, self.env.rewarder.crash_cost = settings.review, -settings.crash_cost
         self.env.calm = settings.calm
+        self.env.physics.set_decimation(settings.decimation)
         return settings
 
     def _collect_and_learn(self, settings: Settings) -> tuple[dict[str, float], dict[str, float]]:

@@ -11,6 +11,7 @@ from torch import Tensor
 from arrive.actuation.network_motors import NetworkMotors
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
 from arrive.physics.engine import STATE_FIELDS, Readings
+from arrive.physics.options import PhysicsConfig, set_steps, with_decimation
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
 
@@ -22,23 +23,22 @@ class CpuPhysics:
         self,
         robot: Robot,
         worlds: Sequence[mujoco.MjModel],
+        config: PhysicsConfig,
         num_envs: int,
-        decimation: int,
         threads: int = 0,
         motors: NetworkMotors | None = None,
     ):
         """Build the batch with every environment in the first world.
 
         Args:
-            worlds: compiled models with the same layout.
-            decimation: physics steps per policy step.
+            worlds: models with the same layout, compiled with this `config`.
             threads: physics threads; 0 takes one per CPU.
             motors: computes the torques of worlds that were compiled with `physics.motor=network`.
         """
         silence_mujoco()
         self.num_envs = num_envs
         self.device = torch.device("cpu")
-        self._decimation = decimation
+        self._config, self.decimation = config, config.decimation
         self._motors = motors
         self._worlds = list(worlds)
         self._layout = sensor_layout(robot)
@@ -60,6 +60,14 @@ class CpuPhysics:
     def model_of_env(self, env_id: int) -> mujoco.MjModel:
         """The compiled world of an environment."""
         return self._worlds[self._world_of_env[env_id]]
+
+    def set_decimation(self, decimation: int) -> None:
+        if decimation == self.decimation:
+            return
+        config = with_decimation(self._config, decimation)
+        for world in self._worlds:
+            set_steps(world, config)
+        self.decimation, self._moved = decimation, True
 
     def place(self, env_ids: Tensor, world_ids: Tensor) -> None:
         self._world_of_env[env_ids.numpy()] = world_ids.numpy()
@@ -88,10 +96,10 @@ class CpuPhysics:
             self._moved = False
         ids, targets = np.flatnonzero(~self._retired) if self._retired.any() else None, joint_targets.numpy()
         if self._motors is None:
-            self._advance(ids, targets, self._decimation)
+            self._advance(ids, targets, self.decimation)
             return
         joint_pos, joint_vel = self._state["qpos"][:, 7:], self._state["qvel"][:, 6:]
-        for _ in range(self._decimation):
+        for _ in range(self.decimation):
             self._advance(ids, self._motors.torque(targets, joint_pos, joint_vel), 1)
 
     def _advance(self, ids: np.ndarray | None, ctrl: np.ndarray, steps: int) -> None:

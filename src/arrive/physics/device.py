@@ -96,7 +96,7 @@ def make_physics(
         from arrive.physics.cpu import CpuPhysics
 
         motors = network_motors(config, robot, num_envs, network)
-        return CpuPhysics(robot, worlds, num_envs, config.decimation, threads, motors)
+        return CpuPhysics(robot, worlds, config, num_envs, threads, motors)
     if not has_warp():
         raise ArriveError(f"MuJoCo Warp is not installed: {INSTALL_WARP}")
     from arrive.physics.warp import WarpPhysics

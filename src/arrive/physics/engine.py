@@ -52,6 +52,14 @@ class Physics(Protocol):
 
     num_envs: int
     device: torch.device
+    decimation: int
+    """Physics steps per policy step."""
+
+    def set_decimation(self, decimation: int) -> None:
+        """Divide the policy step into this many physics steps from now on, see `options.with_decimation`.
+
+        It is not for worlds with `physics.motor=network`: an actuator network has its own step.
+        """
 
     def model_of_env(self, env_id: int) -> mujoco.MjModel:
         """The compiled world an environment is in."""

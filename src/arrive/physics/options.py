@@ -1,6 +1,6 @@
 """Settings of the physics step."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import mujoco
@@ -106,3 +106,16 @@ def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     for geom in spec.geoms:
         geom.solref[0] = config.contact_time_s
         geom.solimp[:2] = config.contact_impedance
+
+
+def with_decimation(config: PhysicsConfig, decimation: int) -> PhysicsConfig:
+    """The same policy step in another number of physics steps. Contacts become softer where longer steps need that."""
+    timestep_s = config.control_dt / decimation
+    contact_time_s = max(config.contact_time_s, LEAST_TIME_STEPS * timestep_s)
+    return replace(config, timestep_s=timestep_s, decimation=decimation, contact_time_s=contact_time_s)
+
+
+def set_steps(model: mujoco.MjModel, config: PhysicsConfig) -> None:
+    """Give a compiled world, in place, the physics step and the contacts of a configuration."""
+    model.opt.timestep = config.timestep_s
+    model.geom_solref[:, 0] = config.contact_time_s

@@ -16,7 +16,7 @@ from arrive.actuation.network import ActuatorNetwork
 from arrive.errors import ArriveError
 from arrive.physics.divergence import MAX_SPEED
 from arrive.physics.engine import STATE_FIELDS, Readings
-from arrive.physics.options import PhysicsConfig
+from arrive.physics.options import PhysicsConfig, set_steps, with_decimation
 from arrive.physics.template import build_template, differing_fields, static_geoms
 from arrive.physics.warp_contacts import ContactCount, drop_false_contacts
 from arrive.physics.warp_motors import WarpMotors
@@ -62,7 +62,7 @@ class WarpPhysics:
         wp.config.log_level = wp.LOG_WARNING  # no banner, no line per kernel
         wp.init()
         self.num_envs, self.device = num_envs, torch.device(device)
-        self._worlds, self._decimation = list(worlds), config.decimation
+        self._worlds, self._config, self.decimation = list(worlds), config, config.decimation
         self._layout = sensor_layout(robot)
         self._warp_device = wp.device_from_torch(self.device)
         template = build_template(robot, worlds, config)
@@ -153,11 +153,22 @@ class WarpPhysics:
         """The kernels of one policy step."""
         with wp.ScopedDevice(self._warp_device):
             self._data.overflow.zero_()
-            for _ in range(self._decimation):
+            for _ in range(self.decimation):
                 if self._motors:
                     self._motors.launch()
                 mjw.step(self._model, self._data)
             self._contacts.launch()
+
+    def set_decimation(self, decimation: int) -> None:
+        if decimation == self.decimation:
+            return
+        config = with_decimation(self._config, decimation)
+        for world in self._worlds:
+            set_steps(world, config)
+        wp.to_torch(self._model.opt.timestep).fill_(config.timestep_s)
+        wp.to_torch(self._model.geom_solref)[..., 0] = config.contact_time_s
+        self.decimation = decimation
+        self._graph = self._capture()
 
     @property
     def world_of_env(self) -> Tensor:
