@@ -159,6 +159,18 @@ def test_symmetric_networks_answer_a_reflected_robot_with_the_reflected_action_a
     assert not torch.allclose(answers(plain, image), expected, atol=0.01)
 
 
+def test_observations_reflected_once_give_the_same_bits():
+    env = two_robots("flat", 0.0)
+    distribution = {"class_name": "rsl_rl.modules.distribution:GaussianDistribution", "std_type": "log"}
+    observation = torch.randn(64, env.observer.size)
+    observations = TensorDict({POLICY: observation}, batch_size=[64])
+    for model in (network(env, 12, distribution_cfg=distribution), network(env, 1)):
+        once = model.reflect_once(observations)
+        assert not torch.equal(once[POLICY], observation)
+        assert torch.equal(model(once), model(observations))
+    assert network(env, 1, reflections=()).reflect_once(observations) is observations
+
+
 def test_a_symmetric_network_finds_its_maps_in_its_file():
     env = two_robots("flat", 0.0)
     distribution = {"class_name": "rsl_rl.modules.distribution:GaussianDistribution", "std_type": "log"}

@@ -4,12 +4,13 @@ import contextlib
 import io
 from typing import Any
 
+import torch
 from rsl_rl.algorithms import PPO
 from tensordict import TensorDict
 
 from arrive.config import PPOConfig
 from arrive.env import POLICY, ArriveEnv
-from arrive.learning.networks import Network, choose_precision
+from arrive.learning.networks import REFLECTED, Network, choose_precision
 from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.symmetry import make_reflections
 
@@ -19,8 +20,12 @@ DISTRIBUTION_CLASS = "rsl_rl.modules.distribution:GaussianDistribution"
 
 def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict, ranks: Ranks = ALONE) -> PPO:
     """Build the algorithm with new networks, initialised from torch's global random state."""
+    settings = _settings(config, env, ranks)
+    if reflections := settings["actor"]["reflections"]:
+        observations = observations.clone(recurse=False)
+        observations[REFLECTED] = torch.zeros(env.num_envs, len(reflections), device=env.device)
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its models
-        algorithm = PPO.construct_algorithm(observations, env, _settings(config, env, ranks), str(env.device))
+        algorithm = PPO.construct_algorithm(observations, env, settings, str(env.device))
     algorithm.train_mode()
     return algorithm
 

@@ -14,6 +14,7 @@ from arrive.config import Config
 from arrive.env import POLICY, ArriveEnv
 from arrive.learning.guard import NonFiniteError, all_finite, check_losses, check_terms
 from arrive.learning.interrupt import interruptible
+from arrive.learning.networks import Network
 from arrive.learning.policy import Policy
 from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.recovery import Recovery
@@ -175,16 +176,17 @@ class Trainer:
     @torch.inference_mode()
     def collect(self) -> dict[str, float]:
         """Collect one rollout. Returns the mean weighted reward of each term per step."""
-        state = self.state
+        state, actor = self.state, self.algorithm.get_policy()
+        assert isinstance(actor, Network)
         observations = state.observations
         for _ in range(self.config.ppo.num_steps):
-            actions = self.algorithm.act(observations)
+            actions = self.algorithm.act(actor.reflect_once(observations))
             observations, rewards, dones, extras = self.env.step(actions)
             self._check_step(observations, rewards)
             self.algorithm.process_env_step(observations, rewards, dones, extras)
             state.statistics.take(self.env, self.env.log)
         state.observations = observations
-        self.algorithm.compute_returns(observations)
+        self.algorithm.compute_returns(actor.reflect_once(observations))
         return state.statistics.finish_iteration()
 
     def _check_step(self, observations: TensorDict, rewards: torch.Tensor) -> None:
