@@ -16,7 +16,9 @@ from arrive.errors import ArriveError
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.world import compile_world
 from arrive.presets import robust
-from arrive.simulation import FAR, SimulatedRobot, continued
+from arrive.robots import ROBOTS
+from arrive.simulation import DROP, FAR, SimulatedRobot, continued
+from arrive.sizing import for_robot
 from arrive.task.heights import HeightGrid, grid_heights
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import ground_of
@@ -156,6 +158,16 @@ def test_a_robot_starts_above_the_highest_ground_under_it():
     robot.reset((1.5, 0.0))
     assert robot.base_pos_w[2] > 0.8 + robot.robot.standing_height
     assert not robot.crashed
+
+
+@pytest.mark.parametrize("name", ["anymal_c", "go2"])
+def test_a_robot_before_a_staircase_starts_on_the_ground_in_front_of_it(name):
+    """As in the protocol: it must not fall a step's height at the start."""
+    config = for_robot(CONFIG, ROBOTS[name])
+    robot = SimulatedRobot(config, ground_of("stairs=0.2", layout="evaluation").build(size=ROBOTS[name].size))
+    assert robot.base_pos_w[2] == pytest.approx(robot.robot.standing_height, abs=1.5 * DROP)
+    robot.reset((0.3, 0.0))
+    assert robot.base_pos_w[2] == pytest.approx(0.2 + robot.robot.standing_height, abs=1.5 * DROP)
 
 
 def test_visuals_do_not_change_the_physics():

@@ -21,11 +21,12 @@ from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box, Tile
 
 if TYPE_CHECKING:
     from arrive.config import Config
+    from arrive.robots.robot import Robot
 
 DROP = 0.02
 """Robots of ANYmal C's size start this much above standing height [m]."""
-FOOTPRINT = 0.6
-"""Half the edge of a square around the start, for ANYmal C's size. The robot is placed above its highest point [m]."""
+FOOT_MARGIN = 0.05
+"""Ground this much farther from a start than the feet's centres can still be under a foot [m]."""
 MAP_HALF = 1.5
 """Half the edge of the height map around the robot [m]. The corners of the largest preset's grid are 1.18 m away."""
 FAR = 200.0
@@ -101,19 +102,19 @@ class SimulatedRobot:
         self._crash_sensors = sensor_layout(self.robot).crash_contacts
         edges = [abs(box.center[axis]) + box.half_size[axis] for box in tile.boxes for axis in (0, 1)]
         self._reach = tile.height_field.half_extent if tile.height_field is not None else max(edges)
+        self._feet_radius = _feet_radius(self.robot, self.model)
         self.reset()
 
     def reset(self, position: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> None:
-        """Stand the robot still at its default pose over the highest ground around `position`.
+        """Stand the robot still at its default pose, over the highest ground that a foot can reach at any heading.
 
         Args:
             position: horizontal position of the base in the tile's frame [m].
             yaw: heading [rad].
         """
         mujoco.mj_resetData(self.model, self.data)
-        ground = float(self._around(position, FOOTPRINT * self.robot.size)[1].max())
         qpos = self.data.qpos
-        qpos[:3] = *position, ground + self.robot.standing_height + DROP * self.robot.size
+        qpos[:3] = *position, self._highest(position) + self.robot.standing_height + DROP * self.robot.size
         qpos[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
         qpos[7:] = self.robot.default_joint_pos
         if self._motors is None:
@@ -201,9 +202,26 @@ class SimulatedRobot:
         origin, heights = self._around(self.data.qpos[:2], MAP_HALF * max(self.robot.size, 1.0))
         return HeightMap(origin, RASTER_CELL, heights, self.time_s if now_s is None else now_s)
 
+    def _highest(self, position: tuple[float, float]) -> float:
+        """Height of the highest ground within the circle of the standing robot's feet [m]."""
+        radius = self._feet_radius + FOOT_MARGIN
+        corner, heights = self._around(position, radius)
+        x, y = (
+            (corner[axis] - position[axis]) + RASTER_CELL * (np.arange(heights.shape[axis]) + 0.5) for axis in (0, 1)
+        )
+        return float(heights[np.hypot(x[:, None], y) < radius].max())
+
     def _around(self, position: np.ndarray | tuple[float, float], half: float) -> tuple[np.ndarray, np.ndarray]:
         """Outer corner of the first cell, and heights of the cells in the square around a position [m]."""
         first = np.floor((np.nan_to_num(position) - half + RASTER_HALF) / RASTER_CELL).astype(int)
         cells = first[:, None] + np.arange(round(2 * half / RASTER_CELL) + 1)
         x, y = np.clip(cells, 0, RASTER_SIZE - 1)
         return first * RASTER_CELL - RASTER_HALF, self.tile.heights[np.ix_(x, y)]
+
+
+def _feet_radius(robot: Robot, model: mujoco.MjModel) -> float:
+    """Largest horizontal distance of a foot from the base at the default pose [m]."""
+    data = mujoco.MjData(model)
+    data.qpos[7:] = robot.default_joint_pos
+    mujoco.mj_kinematics(model, data)
+    return max(float(np.hypot(*(data.site(foot).xpos - data.qpos[:3])[:2])) for foot in robot.foot_sites)

@@ -38,7 +38,7 @@ def card_text(run: Run, with_curves: bool) -> str:
         f"{config['robot']}, task `{config['task']['name']}`, preset `{config['preset']}`, networks "
         f"{'-'.join(map(str, config['ppo']['hidden']))}, trained on {', '.join(config['terrain']['families'])} for "
         f"{run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, commit "
-        f"{run.record['commit'][:10]}:",
+        f"{run.record['commit']}:",
         f"```sh\n{run.record['command']}\n```",
         *(_difficulty(run, run.difficulty) if run.difficulty else ()),
         *(_reach(run, run.reach) if run.reach else ()),
@@ -54,7 +54,7 @@ def _difficulty(run: Run, measured: dict[str, Any]) -> list[str]:
     return [
         "## What it solves",
         f"`arrive eval --protocol difficulty`: {protocol['episodes']} episodes per level, seed {protocol['seed']}; "
-        f"success is {protocol['success'].partition(';')[0]}. Commit {measured['commit'][:10]}.",
+        f"success is {protocol['success'].partition(';')[0]}. Commit {measured['commit']}.",
         _solved(run),
         *(_family(run, name, results) for name, results in run.results().items()),
     ]
@@ -67,7 +67,7 @@ def _reach(run: Run, measured: dict[str, Any]) -> list[str]:
         "## Where and by when it arrives",
         f"`arrive eval --protocol reach`: {protocol['episodes']} episodes per row, seed {protocol['seed']}, "
         f"{protocol['layout']} layout; success is {protocol['success']}, with 95 % intervals. Distances are "
-        f"{protocol['by_distance']}; directions: {protocol['by_direction']}. Commit {measured['commit'][:10]}.",
+        f"{protocol['by_distance']}; directions: {protocol['by_direction']}. Commit {measured['commit']}.",
     ]
     for name, entry in measured["families"].items():
         parts.append(f"### {ground_words(name, entry)}")
