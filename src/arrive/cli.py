@@ -33,7 +33,10 @@ DEBUG = "--debug"
 """Option of every command: show tracebacks."""
 IMPORT = "--import"
 """Option of every command: import a module that registers robots, terrains or other parts."""
-
+DESCRIPTION = (
+    "Train, measure and run policies that bring a legged robot to a target by a given time. `arrive COMMAND --help` "
+    f"explains a command. {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more."
+)
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
@@ -66,9 +69,9 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"arrive {__version__}")
         return
     imports, words = _imports(words)
-    description = f"{__doc__} {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more."
+    words = words or ["--help"]
     try:
-        command = tyro.cli(Command, prog="arrive", description=description, args=words)
+        command = tyro.cli(Command, prog="arrive", description=DESCRIPTION, args=words)
     except SystemExit as stop:
         if not stop.code and words[0] in SETTABLE:
             _show_fields()
