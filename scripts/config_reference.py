@@ -8,14 +8,12 @@ import itertools
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from pages import write_or_check
 
 from arrive.fields import Row, rows
 from arrive.presets import PRESETS
 from arrive.task.registry import TASKS
-from arrive.task.rewards import functions
 
 PAGE = Path(__file__).parent.parent / "docs" / "configuration.md"
 HEAD = """# Configuration
@@ -36,10 +34,9 @@ def page() -> str:
     """The whole page."""
     presets = {name: list(rows(build())) for name, build in PRESETS.items()}
     configs = [build() for build in PRESETS.values()]
-    terms = meanings_of_rewards(configs[0].task)
     parts = [HEAD.format(presets=", ".join(f"`{name}`" for name in presets))]
     for section, group in itertools.groupby(zip(*presets.values(), strict=True), lambda same: section_of(same[0])):
-        parts.append(f"\n## {section}\n\n" + table([(same[0], values(same)) for same in group], terms))
+        parts.append(f"\n## {section}\n\n" + table([(same[0], values(same)) for same in group]))
     first = configs[0].task.name
     known = {row.path for row in presets[next(iter(presets))]}
     for name, task in TASKS.items():
@@ -50,7 +47,7 @@ def page() -> str:
         words = f"Fields that `{first}` does not have:" if new else f"It has no fields that `{first}` does not have."
         parts.append(OTHER.format(name=name, description=(task.__doc__ or "").strip().splitlines()[0], new=words))
         if new:
-            parts.append("\n" + table([(row, values([row])) for row in new], meanings_of_rewards(config)))
+            parts.append("\n" + table([(row, values([row])) for row in new]))
     return "".join(parts)
 
 
@@ -60,27 +57,17 @@ def section_of(row: Row) -> str:
     return f"`{section}`" if dot else "The run"
 
 
-def meanings_of_rewards(task: Any) -> dict[str, str]:
-    """By the path of its weight, what a reward pays for."""
-    found = {}
-    for name, function in functions(task.rewards).items():
-        lines = (function.__doc__ or "").strip().split("\n\n")[0].split()
-        found[f"task.rewards.{name}.weight"] = " ".join(lines)
-    return found
-
-
 def values(same: Iterable[Row]) -> str:
     """The value of one field in every preset; one where they agree."""
     shown = [f"`{json.dumps(row.value)}`" for row in same]
     return shown[0] if len(set(shown)) == 1 else ", ".join(shown)
 
 
-def table(fields: list[tuple[Row, str]], terms: dict[str, str]) -> str:
+def table(fields: list[tuple[Row, str]]) -> str:
     """Field, value, unit, range and meaning."""
     lines = ["| field | value | unit | range | meaning |", "|---|---|---|---|---|"]
     for row, value in fields:
-        meaning = f"{terms[row.path]} {row.meaning}" if row.path in terms else row.meaning
-        cells = (f"`{row.path}`", value, row.unit, row.range, meaning)
+        cells = (f"`{row.path}`", value, row.unit, row.range, row.meaning)
         lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
     return "\n".join(lines) + "\n"
 

@@ -88,7 +88,7 @@ def test_an_unknown_name_lists_the_valid_ones(refused, arguments, valid):
         (["train", "pit,gap,pit"], ["pit is listed more than once"]),
         (["train", "flat", "--num-envs", "0"], ["--num-envs must be at least 1, not 0"]),
         (["train", "flat", "--num-envs", "-3"], ["--num-envs must be at least 1, not -3"]),
-        (["train", "flat", "--set", "num_envs=0"], ["num_envs must be 1 to 2147483647, not 0"]),
+        (["train", "flat", "--set", "num_envs=0"], ["num_envs must be at least 1, not 0"]),
         (["train", "all", "--num-envs", "3"], ["num_envs must be", f"terrain families, {len(FAMILIES)}, not 3"]),
         (["train", "flat", "--minutes", "0"], ["--minutes must be above 0, not 0"]),
         (["train", "flat", "--minutes", "-1.5"], ["--minutes must be above 0, not -1.5"]),
@@ -96,7 +96,7 @@ def test_an_unknown_name_lists_the_valid_ones(refused, arguments, valid):
         (["train", "flat", "--iterations", "-2"], ["--iterations must be at least 1, not -2"]),
         (["train", "flat", "--set", "ppo.gamma"], ["PATH=VALUE"]),
         (["train", "flat", "--set", "ppo.gamma=high"], ["ppo.gamma", "float"]),
-        (["train", "flat", "--set", "terrain.levels=0"], ["terrain.levels", "1 to 2147483647"]),
+        (["train", "flat", "--set", "terrain.levels=0"], ["terrain.levels", "at least 1"]),
         (["train", "flat", "--resume", "."], [".", "not a run folder", "config.json"]),
         (["train", "flat", "--resume", "no/such/folder"], ["no/such/folder", "not a run folder"]),
         (["train", "flat", "--num-envs", "4", "--start-from", "nowhere"], ["there is no policy 'nowhere'"]),
@@ -241,8 +241,8 @@ def test_every_field_of_the_configuration_is_shown_with_unit_default_and_range(c
     for task in TASKS:
         config = make_config(parse_families("flat"), task=task)
         assert all(f"  {row.path} = " in text for row in rows(config))
-    assert "  task.reward_window_s = 2.0 [s] (above 0 and at most 1e+06)\n      Duration T_r of the task reward" in text
-    assert "  task.rewards.stall_cost.weight = -1.0 (-1e+06 to 0)\n      1 while waiting" in text
+    assert "  task.reward_window_s = 2.0 [s] (above 0)\n      Duration T_r of the task reward" in text
+    assert "  task.rewards.stall_cost.weight = -1.0 (at most 0)\n      1 while waiting" in text
 
 
 def test_help_of_other_commands_loads_no_torch():

@@ -5,6 +5,7 @@ import pytest
 from arrive.fields import rows
 from arrive.presets import PRESETS, get_preset
 from arrive.task.registry import TASKS
+from arrive.task.rewards import functions
 from loading import load
 
 
@@ -30,6 +31,17 @@ def test_presets_that_differ_have_a_value_each(reference):
     assert ", ".join(f"`{get_preset(name).ppo.gamma}`" for name in PRESETS) in row
 
 
-def test_every_reward_says_what_it_pays_for(reference):
+def test_every_reward_is_described_once(reference):
+    page = reference.page()
     for task in TASKS.values():
-        assert all(reference.meanings_of_rewards(task.Config()).values()), task
+        for name, function in functions(task.Config().rewards).items():
+            meaning = " ".join((function.__doc__ or "").split("\n\n")[0].split()).replace("|", "\\|")
+            (line,) = {line for line in page.splitlines() if line.startswith(f"| `task.rewards.{name}.weight`")}
+            assert meaning, name
+            assert line.count(meaning) == 1, name
+
+
+def test_limits_for_the_arithmetic_are_not_shown(reference):
+    assert "1e+06" not in reference.page()
+    assert str(2**31 - 1) not in reference.page()
+    assert "| above 0 and at most 14 |" in reference.page()

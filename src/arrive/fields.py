@@ -15,7 +15,7 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -40,6 +40,19 @@ class Range:
         enough = value > self.low if self.above else value >= self.low
         return enough and (value < self.high if self.below else value <= self.high)
 
+    @property
+    def meaningful(self) -> "Range":
+        """The range without the limits that are there for the arithmetic, such as float32's."""
+        low = self.low if self.low > -LARGEST else -math.inf
+        high = self.high if self.high < LARGEST else math.inf
+        return replace(self, low=low, high=high)
+
+    def required_of(self, value: Any) -> "Range":
+        """The limits to name in an error about a number, or a tuple of numbers."""
+        numbers = [item for item in (value if isinstance(value, tuple) else (value,)) if isinstance(item, float | int)]
+        technical = any(self.meaningful.holds(item) and not self.holds(item) for item in numbers)
+        return self if technical else self.meaningful
+
     def __str__(self) -> str:
         low = "" if self.low == -math.inf else f"{'above' if self.above else 'at least'} {_figure(self.low)}"
         high = "" if self.high == math.inf else f"{'below' if self.below else 'at most'} {_figure(self.high)}"
@@ -53,7 +66,7 @@ def _figure(value: float) -> str:
 
 
 LARGEST = 1e6
-"""No length, speed, time, weight or gain is larger, and float32 still has room for its square and a sum of these."""
+"""Largest length, speed, time, weight or gain: float32 can hold a sum of their squares. Documentation omits it."""
 Positive = Annotated[float, Range(0.0, LARGEST, above=True)]
 NotNegative = Annotated[float, Range(0.0, LARGEST)]
 NotPositive = Annotated[float, Range(-LARGEST, 0.0)]
@@ -139,19 +152,18 @@ def _out_of_range(hint: Any, value: Any) -> str | None:
         fine = bool(value) and all(limits.holds(item) for item in numbers)
         if is_interval(base):
             fine = fine and value[0] <= value[1]
-        return None if fine else _words(hint)
+        return None if fine else _words(base, limits.required_of(value))
     if isinstance(value, float | int) and not isinstance(value, bool):
-        return None if limits.holds(value) else _words(hint)
+        return None if limits.holds(value) else _words(base, limits.required_of(value))
     return None
 
 
-def _words(hint: Any) -> str:
+def _words(base: Any, limits: Range) -> str:
     """The range of a field in words."""
-    base, limits = split_range(hint)
-    if is_interval(base):
-        return f"two numbers, the smaller first, {limits}"
     if get_origin(base) is tuple:
-        return "a list of at least one" + (f" number, {limits}" if limits != split_range(float)[1] else "")
+        if limits == Range():
+            return "two numbers, the smaller first" if is_interval(base) else "a list of at least one"
+        return f"{'two numbers, the smaller first' if is_interval(base) else 'a list of at least one number'}, {limits}"
     if get_origin(base) is Literal:
         return ", ".join(map(str, get_args(base)))
     return {bool: "true or false", str: ""}.get(base, str(limits))
@@ -174,7 +186,8 @@ def rows(config: Any, where: str = "") -> Iterator[Row]:
         value = getattr(config, name)
         if not dataclasses.is_dataclass(value):
             meaning = words.get(name, "")
-            yield Row(f"{where}{name}", value, _unit(meaning), _words(hint), meaning)
+            base, limits = split_range(hint)
+            yield Row(f"{where}{name}", value, _unit(meaning), _words(base, limits.meaningful), meaning)
             continue
         for row in rows(value, f"{where}{name}."):
             if row.path == f"{where}{name}.{getattr(value, 'MAIN', '')}":
