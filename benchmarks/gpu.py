@@ -85,7 +85,7 @@ def differences(family: str, device: torch.device) -> dict[str, float]:
     config = robust()
     terrain = replace(config.terrain, families=(family,), levels=CHECK_LEVELS, variants=1)
     config = replace(config, num_envs=CHECK_ROBOTS, terrain=terrain)
-    env = build_env(config, Placement(assignment=deal_levels(config)), threads=1)
+    env = build_env(config, Placement(assignment=assign_levels(config)), threads=1)
     once = replace(config.physics, decimation=1, engine="warp")
     reference = CpuPhysics(env.robot, env.pool.worlds, once, CHECK_ROBOTS, 1)
     engine = make_physics(env.robot, env.pool.worlds, once, CHECK_ROBOTS, 1, device)
@@ -107,7 +107,7 @@ def differences(family: str, device: torch.device) -> dict[str, float]:
     return dict(zip(LIMITS, map(float, values), strict=True))
 
 
-def deal_levels(config: Config) -> tuple[torch.Tensor, torch.Tensor]:
+def assign_levels(config: Config) -> tuple[torch.Tensor, torch.Tensor]:
     """The family and a level for each robot."""
     family = FAMILIES[config.terrain.families[0]]
     levels = 1 if family.lowest == family.highest else config.terrain.levels

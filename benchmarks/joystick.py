@@ -27,7 +27,7 @@ from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
 from arrive.drive.driver import Driver
 from arrive.drive.script import random_script
-from arrive.drive.session import Moment, Tally, advance, run
+from arrive.drive.session import DriveStatistics, Moment, advance, run
 from arrive.errors import ArriveError
 from arrive.simulation import SimulatedRobot, continued
 from arrive.terrain.ground import ground_of
@@ -93,10 +93,10 @@ def flat_robot(policy: PolicyFile) -> SimulatedRobot:
     return SimulatedRobot(config, continued(ground_of("flat").build()))
 
 
-def hectic(policy: PolicyFile, seed: int) -> Tally:
+def hectic(policy: PolicyFile, seed: int) -> DriveStatistics:
     """Five minutes of sticks that change every 0.3 to 2 s."""
     driver = Driver(flat_robot(policy), Controller(policy))
-    return run(driver, random_script(seed, HECTIC_S), HECTIC_S, lambda moment, tally: None, real_time=False)
+    return run(driver, random_script(seed, HECTIC_S), HECTIC_S, lambda moment, statistics: None, real_time=False)
 
 
 def table(walks: list[Walk]) -> str:
@@ -142,14 +142,14 @@ def main() -> None:
     name = arguments.policy or "shipped policy"
     walks = measure(policy, arguments.repeats)
     text = table(walks)
-    tallies = [hectic(policy, seed) for seed in range(1, arguments.drives + 1)]
-    if tallies:
-        falls = ", ".join(str(tally.falls) for tally in tallies)
-        driven = sum(tally.driven_s for tally in tallies)
-        asked, along = (sum(getattr(t, what) for t in tallies) / driven for what in ("commanded_m", "along_m"))
+    runs = [hectic(policy, seed) for seed in range(1, arguments.drives + 1)]
+    if runs:
+        falls = ", ".join(str(statistics.falls) for statistics in runs)
+        driven = sum(statistics.driven_s for statistics in runs)
+        asked, along = (sum(getattr(t, what) for t in runs) / driven for what in ("commanded_m", "along_m"))
         text += (
-            f"\n\n{len(tallies)} drives of {HECTIC_S:.0f} s with a new stick every 0.3 to 2 s (seeds 1 to "
-            f"{len(tallies)}): {falls} falls; asked for {asked:.2f} m/s on average, {along:.2f} m/s achieved along it."
+            f"\n\n{len(runs)} drives of {HECTIC_S:.0f} s with a new stick every 0.3 to 2 s (seeds 1 to "
+            f"{len(runs)}): {falls} falls; asked for {asked:.2f} m/s on average, {along:.2f} m/s achieved along it."
         )
     print(text)
     if arguments.table:

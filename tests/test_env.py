@@ -278,7 +278,7 @@ def test_levels_follow_what_robots_do():
     env.curriculum.levels[:] = torch.tensor([0, 1, 0, 1, 0, 1])
     env.memory.level.copy_(env.curriculum.levels)
     command = env.task.command
-    command.counts[:] = torch.tensor([True, True, True, True, False, False])
+    command.crossing[:] = torch.tensor([True, True, True, True, False, False])
     command.target_w[:] = torch.tensor([0.0, 0.0, 0.55])
     command.target_w[[1, 2, 5]] = torch.tensor([4.0, 0.0, 0.55])
     command.time_left_s[:] = 0.02
@@ -297,7 +297,7 @@ def test_robots_that_review_an_easier_level_keep_their_own_and_do_not_count():
     config = config_of(num_envs=40, families=("pit",), randomisation=CALM)
     env = build_env(replace(config, terrain=replace(config.terrain, levels=4)), threads=1)
     env.review = 0.5
-    env.settle({"pit": torch.tensor([0.0, 0.34, 0.67, 1.0])})
+    env.start_at_levels({"pit": torch.tensor([0.0, 0.34, 0.67, 1.0])})
     while bool(env.memory.shortened.any()):
         env.task.command.time_left_s[:] = 0.02
         env.step(torch.zeros(40, 12))
@@ -308,7 +308,7 @@ def test_robots_that_review_an_easier_level_keep_their_own_and_do_not_count():
     tiles = env.pool.world_index[0, played]
     assert (env.pool.tile_of_world[tiles] == env.tile_of_env[:, None]).any(1).all(), "they stand on what they play"
     command = env.task.command
-    command.counts[:], command.time_left_s[:] = True, 0.02
+    command.crossing[:], command.time_left_s[:] = True, 0.02
     command.target_w[:] = torch.tensor([4.0, 0.0, 0.55])
     env.step(torch.zeros(40, 12))
     assert torch.equal(env.log.finished.counted, ~reviewing)
@@ -320,7 +320,7 @@ def test_robots_settle_on_the_levels_reached_before():
     env = build_env(config_of(num_envs=60, families=("pit", "gap", "flat")), threads=1)
     gap = env.family_of_env == 1
     before = env.curriculum.levels[gap].clone()
-    env.settle({"pit": torch.tensor([0.2, 0.9]), "flat": torch.tensor([0.0]), "stairs": torch.tensor([1.0])})
+    env.start_at_levels({"pit": torch.tensor([0.2, 0.9]), "flat": torch.tensor([0.0]), "stairs": torch.tensor([1.0])})
     pits = env.curriculum.levels[env.family_of_env == 0]
     assert pits.unique().tolist() == [0, 1], "of two levels the nearest"
     assert torch.equal(env.curriculum.levels[gap], before)
@@ -331,7 +331,7 @@ def test_robots_settle_on_the_levels_reached_before():
 def test_shortened_episodes_move_no_level():
     env = build_env(config_of(num_envs=6, families=("pit",), randomisation=CALM), threads=1)
     levels = env.curriculum.levels.clone()
-    env.task.command.time_left_s[:], env.task.command.counts[:] = 0.02, True
+    env.task.command.time_left_s[:], env.task.command.crossing[:] = 0.02, True
     env.step(torch.zeros(6, 12))
     assert not env.log.finished.counted.any()
     assert torch.equal(env.curriculum.levels, levels)

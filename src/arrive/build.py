@@ -15,7 +15,7 @@ from arrive.physics.pool import Spread, TileSet, build_pool
 from arrive.robots import get_robot
 from arrive.task.final import PositionConfig
 from arrive.task.registry import get_task
-from arrive.task.task import Cruise, Setting, Trial
+from arrive.task.task import ConstantCommand, Setting, Trial
 from arrive.terrain import Family, Layout, get_family
 from arrive.terrain.build import TARGET_DISTANCE
 from arrive.terrain.levels import level_values
@@ -30,7 +30,7 @@ class Placement:
     """Parameters of each family's levels; None for those of training."""
     seed_offset: int = 0
     """Added to the configuration's seed for terrain, friction and payload."""
-    trial: Trial | Cruise | None = None
+    trial: Trial | ConstantCommand | None = None
     """A fixed command for the robots; None for random commands."""
     assignment: tuple[Tensor, Tensor] | None = None
     """Fixed family and level of each environment; None for the curriculum."""

@@ -12,7 +12,7 @@ from arrive.config import Config
 from arrive.physics.engine import Physics
 from arrive.physics.pool import WorldPool
 from arrive.robots.robot import Robot
-from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
+from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, assign_families
 from arrive.task.memory import Memory
 from arrive.task.observations import Observer
 from arrive.task.randomisation import draw_pushes, start_states
@@ -89,17 +89,17 @@ class ArriveEnv(VecEnv):
         self.review = 0.0
         """Share of the episodes on an easier level than the robot's own. A schedule may change it."""
         self.calm = False
-        """Whether nobody is pushed or sent to a new target within an episode. A schedule may change it."""
+        """Whether there are neither pushes nor new targets within an episode. A schedule may change it."""
         self.final_observations = False
         """Whether to record the last observation of every episode, which computes all observations a second time."""
         sensing = config.observation
         terms = task.observation_terms(config.task, sensing, robot)
         self.observer = Observer(terms, sensing.noise, self.device, sensing.noise_least)
-        self.rewarder = Rewarder(config.task, self.control_dt, dear_crashes=config.schedule.enabled)
+        self.rewarder = Rewarder(config.task, self.control_dt, crash_cost_rises=config.schedule.enabled)
         self._reader = Reader(robot, pool.rasters, sensing.heights, self.control_dt)
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=self.device)
-        dealt = deal_families(self.num_envs, len(pool.families)).to(self.device)
-        self.family_of_env = dealt if assignment is None else assignment[0]
+        assigned = assign_families(self.num_envs, len(pool.families)).to(self.device)
+        self.family_of_env = assigned if assignment is None else assignment[0]
         self.memory = Memory.blank(self.num_envs, robot, self.device)
         self.log = StepLog()
         self._start_curriculum()
@@ -124,7 +124,7 @@ class ArriveEnv(VecEnv):
             self.curriculum.levels = self._assignment[1]
         self.exploration = ExplorationSwitch(self.family_of_env, self.max_episode_length)
 
-    def settle(self, levels: dict[str, Tensor]) -> None:
+    def start_at_levels(self, levels: dict[str, Tensor]) -> None:
         """Start every robot's first episode again, at levels drawn from those of an earlier run.
 
         Args:
@@ -145,9 +145,9 @@ class ArriveEnv(VecEnv):
         return self.memory.tile
 
     @property
-    def retired(self) -> Tensor:
+    def inactive(self) -> Tensor:
         """(num_envs,) bool: robots that are no longer simulated."""
-        return self.memory.retired
+        return self.memory.inactive
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
         """Advance every robot by one policy step. Robots whose episode ended start the next one.
@@ -182,10 +182,10 @@ class ArriveEnv(VecEnv):
         """(num_envs, joints) joint targets of actions [rad]."""
         return self._default_joint_pos + self.robot.action_scale * actions
 
-    def retire(self, env_ids: Tensor) -> None:
+    def deactivate(self, env_ids: Tensor) -> None:
         """Stop simulating these robots, because an evaluation does not need them any more."""
-        self.memory.retired[env_ids] = True
-        self.physics.retire(env_ids)
+        self.memory.inactive[env_ids] = True
+        self.physics.deactivate(env_ids)
 
     # The phases of a step, in order.
 
@@ -241,7 +241,7 @@ class ArriveEnv(VecEnv):
             self._reset(ids, first=False)
 
     def _reset(self, ids: Tensor, first: bool) -> None:
-        levels = self.curriculum.deal(ids, self.review if self._learning else 0.0)
+        levels = self.curriculum.next_levels(ids, self.review if self._learning else 0.0)
         worlds = self._choose_worlds(ids, levels)
         tiles = self.pool.tile_of_world.to(self.device)[worlds]
         self.physics.place(ids, worlds)

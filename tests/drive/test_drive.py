@@ -16,7 +16,7 @@ from arrive.drive.driver import Driver
 from arrive.drive.gamepad import TURN_RAD_S, Gamepad
 from arrive.drive.pace import LARGEST_DELAY_S
 from arrive.drive.script import HOLD_S, Script, random_script, read_script
-from arrive.drive.session import Tally, advance, run
+from arrive.drive.session import DriveStatistics, advance, run
 from arrive.drive.status import describe, summarise
 from arrive.errors import ArriveError
 from arrive.simulation import SimulatedRobot, continued
@@ -36,7 +36,7 @@ def a_drive(policy, log: ControlLog | None = None, terrain: str = "flat") -> Dri
     return Driver(SimulatedRobot(config, continued(ground_of(terrain).build())), Controller(policy, log=log))
 
 
-def nothing(moment, tally) -> None:
+def nothing(moment, statistics) -> None:
     """Report to nobody."""
 
 
@@ -173,14 +173,14 @@ def test_without_a_gamepad_it_says_what_there_is(headless, monkeypatch):
 )
 def test_the_robot_walks_where_the_stick_points(policy):
     drive = a_drive(policy)
-    tally = run(drive, Script((0.0,), (Joystick(0.0, 1.0, 0.0),)), 5.0, nothing, real_time=False)
+    statistics = run(drive, Script((0.0,), (Joystick(0.0, 1.0, 0.0),)), 5.0, nothing, real_time=False)
     assert drive.robot.base_pos_w[1] > 3.0
     assert abs(drive.robot.base_pos_w[0]) < 1.0
-    assert tally.time_s == pytest.approx(5.0)
-    assert tally.commanded_m == pytest.approx(1.5 * 5.0)
-    assert tally.along_m == pytest.approx(drive.robot.base_pos_w[1], abs=0.1)
-    assert tally.falls == 0
-    assert "0 falls; asked for 1.50 m/s" in summarise(tally)
+    assert statistics.time_s == pytest.approx(5.0)
+    assert statistics.commanded_m == pytest.approx(1.5 * 5.0)
+    assert statistics.along_m == pytest.approx(drive.robot.base_pos_w[1], abs=0.1)
+    assert statistics.falls == 0
+    assert "0 falls; asked for 1.50 m/s" in summarise(statistics)
 
 
 def test_a_fall_is_counted_and_the_robot_goes_on(policy):
@@ -190,12 +190,12 @@ def test_a_fall_is_counted_and_the_robot_goes_on(policy):
         advance(drive, AHEAD)
     drive.robot.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
     drive.robot.data.qpos[2] = 0.3
-    tally = Tally()
+    statistics = DriveStatistics()
     for _ in range(20):
-        tally.add(moment := advance(drive, AHEAD), 0.02)
+        statistics.add(moment := advance(drive, AHEAD), 0.02)
         if moment.fell:
             break
-    assert tally.falls == 1
+    assert statistics.falls == 1
     assert math.hypot(*drive.robot.base_pos_w[:2]) < 1e-9
     assert advance(drive, AHEAD).mode == "safe"
     modes = [advance(drive, AHEAD).mode for _ in range(150)]
@@ -205,14 +205,14 @@ def test_a_fall_is_counted_and_the_robot_goes_on(policy):
     # The log holds the fall too, and gives the same commands again.
     again = replay(log, Controller(policy))
     assert all(np.array_equal(a.targets, b.targets) for a, b in zip(again, log.commands, strict=True))
-    assert "falls 1" in describe(moment, tally)
+    assert "falls 1" in describe(moment, statistics)
 
 
 def test_a_robot_that_leaves_the_ground_is_put_back(policy):
     drive = a_drive(policy, terrain="rough")
     drive.robot.reset((7.9, 0.0))
-    tally = run(drive, Script((0.0,), (AHEAD,)), 3.0, nothing, real_time=False)
-    assert tally.falls == 1
+    statistics = run(drive, Script((0.0,), (AHEAD,)), 3.0, nothing, real_time=False)
+    assert statistics.falls == 1
     assert drive.robot.base_pos_w[0] < 5.0
 
 
@@ -240,26 +240,26 @@ class Clock:
 @pytest.mark.parametrize(("step_s", "late_s"), [(0.005, 0.0), (0.02, 0.0), (0.05, 100 * 0.03 - LARGEST_DELAY_S)])
 def test_real_time_is_kept_or_what_is_lost_is_said(step_s, late_s, policy):
     clock = Clock(step_s)
-    tally = run(a_drive(policy), clock, 2.0, nothing, True, clock.read, clock.sleep)
+    statistics = run(a_drive(policy), clock, 2.0, nothing, True, clock.read, clock.sleep)
     assert clock.now_s == pytest.approx(max(2.0, 100 * step_s), abs=0.021)
-    assert tally.late_s == pytest.approx(late_s, abs=step_s)
-    assert ("too slow" in summarise(tally)) == (late_s > 0.0)
+    assert statistics.late_s == pytest.approx(late_s, abs=step_s)
+    assert ("too slow" in summarise(statistics)) == (late_s > 0.0)
 
 
 def test_ctrl_c_ends_a_drive_with_its_tally(policy):
-    def interrupt(moment, tally):
+    def interrupt(moment, statistics):
         if moment.time_s > 0.51:
             raise KeyboardInterrupt
 
-    tally = run(a_drive(policy), Script((0.0,), (AHEAD,)), math.inf, interrupt, real_time=False)
-    assert tally.time_s == pytest.approx(0.52)
+    statistics = run(a_drive(policy), Script((0.0,), (AHEAD,)), math.inf, interrupt, real_time=False)
+    assert statistics.time_s == pytest.approx(0.52)
 
 
 def test_the_arrow_shows_the_direction_as_the_robot_sees_it(policy):
     drive = a_drive(policy)
     drive.robot.reset(yaw=math.pi / 2)
-    assert "asked →" in describe(advance(drive, AHEAD), Tally())
-    assert "asked stop" in describe(advance(drive, Joystick(0.0, 0.0)), Tally())
+    assert "asked →" in describe(advance(drive, AHEAD), DriveStatistics())
+    assert "asked stop" in describe(advance(drive, Joystick(0.0, 0.0)), DriveStatistics())
 
 
 # The command.

@@ -426,7 +426,7 @@ def test_a_retired_robot_neither_moves_nor_ends_again():
     )
     env.step(torch.zeros(2, 12))
     assert env.log.finished.env_ids.tolist() == [0]
-    env.retire(torch.tensor([0]))
+    env.deactivate(torch.tensor([0]))
     before = env.state.base_pos_w.clone()
     for _ in range(5):
         env.step(torch.zeros(2, 12))

@@ -49,8 +49,8 @@ class Treadmill:
     def step(self, joint_targets):
         self.steps += 1
 
-    def retire(self, env_ids):
-        self.retired = env_ids.tolist()
+    def deactivate(self, env_ids):
+        self.inactive = env_ids.tolist()
 
     def read(self):
         torque = torch.tensor([[3.0, -4.0], [1.0, 0.0]])
@@ -72,7 +72,7 @@ def test_every_physics_step_counts():
 def test_who_has_ended_spends_no_more():
     physics = MeteredPhysics(Treadmill(), 1, 0.01)
     physics.step(torch.zeros(2, 2))
-    physics.retire(torch.tensor([0]))
+    physics.deactivate(torch.tensor([0]))
     physics.step(torch.zeros(2, 2))
     assert physics.torque_sq.tolist() == pytest.approx([0.25, 0.02])
 

@@ -18,7 +18,7 @@ from arrive.errors import ArriveError
 from arrive.evaluation import arrival, reach
 from arrive.evaluation.arrival import Arrival, Cell, choose_cells, evaluate
 from arrive.evaluation.difficulty import TRIAL, randomised
-from arrive.evaluation.reach import Errands
+from arrive.evaluation.reach import ReachGrid
 from arrive.learning.policy import Policy
 from arrive.presets import get_preset
 from arrive.report.card import write_card
@@ -34,7 +34,7 @@ from arrive.terrain.rasters import stack_rasters
 
 DT = 0.02
 CONFIG = override(get_preset("paper"), ("num_envs=4", "terrain.levels=3", "terrain.variants=1"))
-SHORT = Errands((0.5, 2.0), (0.0, 90.0), (0.4, 0.8))
+SHORT = ReachGrid((0.5, 2.0), (0.0, 90.0), (0.4, 0.8))
 
 
 @pytest.fixture(autouse=True)
@@ -146,7 +146,7 @@ class TestMeasurement:
         assert told[-1][0] == told[-1][1]
 
     def test_a_place_in_the_hole_is_said(self):
-        content = reach.measure(standing(), [ground_of("gap=0.4")], Errands((1.6, 4.0), (0.0,), (0.1,)), 1, 1, 1)
+        content = reach.measure(standing(), [ground_of("gap=0.4")], ReachGrid((1.6, 4.0), (0.0,), (0.1,)), 1, 1, 1)
         entry = content["families"]["gap"]
         assert [row.get("stood_at_m") for row in entry["distances"]] == [pytest.approx(2.25, abs=0.1), None]
         head, rows = distance_table(entry)
@@ -161,18 +161,18 @@ class TestMeasurement:
             reach.check_policy(policy)
 
     @pytest.mark.parametrize(
-        ("errands", "words"),
+        ("grid", "words"),
         [
-            (Errands(distances=(0.0,)), "--target-distance must be numbers from 0.1 to 6.4 m"),
-            (Errands(distances=(1.0, 7.0)), "not 1,7"),
-            (Errands(directions=(400.0,)), "--direction must be"),
-            (Errands(times=(float("nan"),)), "--time must be"),
-            (Errands(times=(3.0, 3.0)), "--time names a value twice"),
+            (ReachGrid(distances=(0.0,)), "--target-distance must be numbers from 0.1 to 6.4 m"),
+            (ReachGrid(distances=(1.0, 7.0)), "not 1,7"),
+            (ReachGrid(directions=(400.0,)), "--direction must be"),
+            (ReachGrid(times=(float("nan"),)), "--time must be"),
+            (ReachGrid(times=(3.0, 3.0)), "--time names a value twice"),
         ],
     )
-    def test_errands_that_cannot_be_run_are_refused(self, errands, words):
+    def test_grids_that_cannot_be_run_are_refused(self, grid, words):
         with pytest.raises(ArriveError, match=words):
-            errands.check()
+            grid.check()
 
     def test_the_ground_is_the_hardest_solved_or_a_middle_one(self, tmp_path):
         gap = get_family("gap")

@@ -313,7 +313,7 @@ class TestEngine:
 
     def test_a_retired_robot_stays_where_it_was(self):
         _, engine = pair(MIXED, 4)
-        engine.retire(torch.tensor([2]))
+        engine.deactivate(torch.tensor([2]))
         before = engine.state_dict()
         for _ in range(5):
             engine.step(DEFAULT.expand(4, 12) + 0.3)

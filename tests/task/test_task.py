@@ -12,7 +12,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, TerrainConfig
 from arrive.errors import ArriveError
 from arrive.presets import PAPER_REWARDS
-from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, deal_families
+from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, assign_families
 from arrive.task.final import FinalConfig, FinalPositionTask
 from arrive.task.heights import look_up
 from arrive.task.rewards import bound, task_share
@@ -186,19 +186,19 @@ class TestRetargeting:
         for x, counting in ((0.0, True), (4.0, False)):
             begin(task, 400)
             task.retarget(a_state(400, base_pos_w=torch.tensor([[x, 0.0, 0.6]]).expand(400, 3)))
-            assert bool(task.command.counts.any()) == counting
+            assert bool(task.command.crossing.any()) == counting
 
     def test_a_share_of_them_is_to_stop_where_the_robot_is(self):
         task = a_task(tile_of("slope", 0.5), MANY, replace(TASK, retarget_s=0.02, stop_share=0.25))
         begin(task, MANY)
-        task.command.counts[:] = True
+        task.command.crossing[:] = True
         task.retarget(a_state(MANY, base_pos_w=torch.tensor([[3.0, 0.0, 1.7]]).expand(MANY, 3)))
         stops = (task.command.target_w[:, :2] == torch.tensor([3.0, 0.0])).all(-1)
         assert float(stops.float().mean()) == pytest.approx(0.25, abs=0.02)
         # Half a metre above the slope of 27.5 degrees that begins 1 m out, looked up in cells of 5 cm.
         expected = 2.0 * math.tan(math.radians(27.5)) + 0.5
         assert task.command.target_w[stops, 2].tolist() == pytest.approx([expected] * int(stops.sum()), abs=0.03)
-        assert not bool(task.command.counts[stops].any())
+        assert not bool(task.command.crossing[stops].any())
         assert float((task.command.target_w - torch.tensor([3.0, 0.0, 1.7]))[~stops].norm(dim=-1).min()) > 0.9
 
     def test_targets_stay_on_the_tile(self):
@@ -240,14 +240,14 @@ class TestCommand:
         task = a_task(tile_of("flat"), MANY)
         begin(task, MANY, first=True)
         assert distance_from_uniform(task.command.time_left_s.numpy(), 0.0, 6.0) < 1.63 + 0.01 * MANY**0.5
-        assert not task.command.counts.any()
+        assert not task.command.crossing.any()
 
     def test_a_target_counts_when_it_is_across_the_terrain(self):
         task = a_task(tile_of("gap"), 500)
         begin(task, 500)
         across = task.command.target_w[:, :2].abs().amax(-1) > 1.2 + 1.4
         assert 0 < int(across.sum()) < 500
-        assert torch.equal(task.command.counts, across)
+        assert torch.equal(task.command.crossing, across)
 
     def test_knows_its_start_distance(self):
         task = a_task(tile_of("flat"), 10)
@@ -280,7 +280,7 @@ def judged(distance: float, *, start=4.0, crashed=False, fell=False, counts=True
     """The outcome of one robot that ends this far from its target."""
     task = a_task(tile_of("flat"), 1)
     begin(task, 1)
-    task.command.start_distance[:], task.command.counts[:] = start, counts
+    task.command.start_distance[:], task.command.crossing[:] = start, counts
     # Along all three axes: the distance is not a horizontal one.
     position = task.command.target_w + torch.tensor([[2.0, -2.0, 1.0]]) / 3.0 * distance
     state = a_state(1, base_pos_w=position, base_lin_vel_w=torch.tensor([[speed, 0.0, 0.0]]))
@@ -316,7 +316,7 @@ class TestJudgement:
 
 
 def test_families_take_turns():
-    assert deal_families(7, 3).tolist() == [0, 1, 2, 0, 1, 2, 0]
+    assert assign_families(7, 3).tolist() == [0, 1, 2, 0, 1, 2, 0]
 
 
 def levels_after(level: int, num_levels: int, *, ended=True, promote=False, demote=False, n: int = 1) -> Tensor:
@@ -365,7 +365,7 @@ class TestLevels:
     def test_under_review_are_easier_ones_in_the_wished_share(self):
         curriculum = LevelCurriculum(torch.full((9000,), 10), torch.Generator().manual_seed(0))
         curriculum.levels[:] = torch.tensor([0, 1, 4]).repeat(3000)
-        dealt = curriculum.deal(torch.arange(9000), review=0.25).view(-1, 3)
+        dealt = curriculum.next_levels(torch.arange(9000), review=0.25).view(-1, 3)
         assert not dealt[:, 0].any()
         assert dealt[:, 1].unique().tolist() == [0, 1]
         counts = torch.bincount(dealt[:, 2], minlength=5)
@@ -377,7 +377,7 @@ class TestLevels:
         curriculum = LevelCurriculum(torch.full((50,), 10), torch.Generator().manual_seed(0))
         curriculum.levels[:] = torch.arange(50) % 10
         ids = torch.tensor([3, 40, 7])
-        assert torch.equal(curriculum.deal(ids, review=0.0), curriculum.levels[ids])
+        assert torch.equal(curriculum.next_levels(ids, review=0.0), curriculum.levels[ids])
 
 
 FAR, NEAR = 10.0, 0.0

@@ -258,7 +258,7 @@ def hardness(tile: Tile) -> dict[str, float]:
         "highest": float(heights.max()),
         "hole": float((heights < -0.02).mean()) if tile.fall_height > -np.inf else 0.0,
         "widest hole": float(longest_run(profile(tile, cell_centers()).ravel() < -0.02)),
-        "boxes": float(len(tile.boxes)) if not tile.parted else 0.0,
+        "boxes": float(len(tile.boxes)) if not tile.separates else 0.0,
         "roughness": float(heights[crossing].std()),
     }
 

@@ -38,12 +38,12 @@ def run_drive(command: Drive) -> None:
     driver = Driver(SimulatedRobot(config, continued(tile)), Controller(policy, log=log))
     status = StatusLine()
     try:
-        tally = session.run(driver, controls, seconds, status.report, real_time=script is None)
+        statistics = session.run(driver, controls, seconds, status.report, real_time=script is None)
     finally:
         status.close()
         controls.close()
         if log and command.log:
             log.save(command.log)
-    print(summarise(tally))
+    print(summarise(statistics))
     if log:
         print(f"log: {command.log}")

@@ -88,7 +88,7 @@ def print_energy(content: dict[str, Any]) -> None:
     robots = content["speeds"][0]["robots"]
     title = f"{content['name']} ({content['task']}), {robots} robots a speed"
     table = Table(title=title, title_justify="left", padding=(0, 0))
-    for column in ("told", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood"):
+    for column in ("command", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood"):
         table.add_column(column, no_wrap=True)
     for row in content["speeds"]:
         figures = ("speed", "torque_sq", "positive_work", "absolute_work", "cost_of_transport", "time_s")

@@ -21,7 +21,7 @@ from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, cells_of, choose_cells
 from arrive.evaluation.arrival import evaluate as evaluate_policy
 from arrive.evaluation.episode import Episode
-from arrive.evaluation.reach import REACH_NAME, Errands, check_policy, effort, hardest_solved
+from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved
 from arrive.evaluation.reach import measure as measure_reach
 from arrive.learning.policy import Policy
 from arrive.physics.device import choose_device, describe_device
@@ -40,18 +40,18 @@ from arrive.terrain.ground import Ground
 if TYPE_CHECKING:
     from arrive.commands.options import Eval, Report
 
-ERRANDS = {"target_distance": "distances", "direction": "directions", "time": "times"}
-"""Options of the protocol `reach`, and the fields of `Errands` that they set."""
+GRID_OPTIONS = {"target_distance": "distances", "direction": "directions", "time": "times"}
+"""Options of the protocol `reach`, and the fields of `ReachGrid` that they set."""
 
 
 def evaluate(command: Eval) -> None:
     """Evaluate policies, print success rates and causes of failure, and write JSON files and pictures."""
     if command.json and command.others:
         raise ArriveError("--json works with a single policy; evaluate several one by one")
-    errands = {name: value for name in ERRANDS if (value := getattr(command, name)) is not None}
-    protocol = command.protocol or ("reach" if errands else "arrival")
-    if errands and protocol != "reach":
-        raise ArriveError(f"--{next(iter(errands)).replace('_', '-')} needs --protocol reach, not {protocol}")
+    grid = {name: value for name in GRID_OPTIONS if (value := getattr(command, name)) is not None}
+    protocol = command.protocol or ("reach" if grid else "arrival")
+    if grid and protocol != "reach":
+        raise ArriveError(f"--{next(iter(grid)).replace('_', '-')} needs --protocol reach, not {protocol}")
     if command.levels is not None and protocol != "difficulty":
         raise ArriveError("--levels needs --protocol difficulty; choose one of the policy's own levels with --level")
     # Small networks gain little from torch's threads and are six times slower with them on a busy machine. One thread
@@ -134,11 +134,11 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
 def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
     given = {
         field: parse_numbers(f"--{name.replace('_', '-')}", text)
-        for name, field in ERRANDS.items()
+        for name, field in GRID_OPTIONS.items()
         if (text := getattr(command, name)) is not None
     }
-    errands = Errands(**given, layout=command.layout or "evaluation")
-    errands.check()
+    grid = ReachGrid(**given, layout=command.layout or "evaluation")
+    grid.check()
     check_policy(policy)
     folder, levels = policy.folder, policy.config.terrain.levels
     grounds = [
@@ -146,13 +146,13 @@ def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
         for family, cell in _chosen(command, policy)
     ]
     out = command.json or folder / REACH_NAME
-    keep_longer(out, effort(errands, command.episodes, len(grounds)), command.force)
+    keep_longer(out, effort(grid, command.episodes, len(grounds)), command.force)
     with Progress() as bar:
         steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per row", total=None)
         content = measure_reach(
             policy,
             grounds,
-            errands,
+            grid,
             command.episodes,
             command.seed,
             threads,

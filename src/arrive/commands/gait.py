@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 def gait(command: Gait) -> None:
     """Let policies walk steadily, print their gaits, and write the JSON file and figure 6."""
-    told = [Heading(speed, direction) for speed in command.speeds for direction in command.directions]
-    check_arguments(told, command.robots, command.seconds)
+    commands = [Heading(speed, direction) for speed in command.speeds for direction in command.directions]
+    check_arguments(commands, command.robots, command.seconds)
     threads = use_threads(command.threads)
     torch.set_num_threads(1)
     policies = load_policies((command.policy, *command.others))
     for policy in policies:
-        check_command(policy, told)
-    keep_longer(command.json, len(policies) * len(told) * command.robots * command.seconds, command.force)
+        check_command(policy, commands)
+    keep_longer(command.json, len(policies) * len(commands) * command.robots * command.seconds, command.force)
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:
             measured.append(
                 measure_gait(
                     policy,
-                    told,
+                    commands,
                     command.robots,
                     command.seconds,
                     command.seed,
@@ -60,7 +60,7 @@ def print_gait(content: dict[str, Any]) -> None:
     """Print the gaits of one policy as a table."""
     feet = content["feet"]
     table = Table(title=f"{content['name']} ({content['task']})", title_justify="left", padding=(0, 0))
-    for column in ("told", "gait", "m/s", "Hz", "stride [m]", "duty", f"phase {' '.join(feet)}", "travel", "fell"):
+    for column in ("command", "gait", "m/s", "Hz", "stride [m]", "duty", f"phase {' '.join(feet)}", "travel", "fell"):
         table.add_column(column, no_wrap=True)
     for row in content["gaits"]:
         direction = f" {row['direction_deg']:+g}°" if row["direction_deg"] else ""

@@ -49,7 +49,7 @@ class Moment:
 
 
 @dataclass
-class Tally:
+class DriveStatistics:
     """Totals of a drive so far."""
 
     time_s: float = 0.0
@@ -95,11 +95,11 @@ def run(
     driver: Driver,
     controls: Controls,
     seconds: float,
-    report: Callable[[Moment, Tally], None],
+    report: Callable[[Moment, DriveStatistics], None],
     real_time: bool,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Tally:
+) -> DriveStatistics:
     """Drive for some time. Ctrl-C ends it early.
 
     Args:
@@ -110,19 +110,19 @@ def run(
     Raises:
         ArriveError: the gamepad was disconnected.
     """
-    tally, pace = Tally(), Pace(driver.control_dt)
+    statistics, pace = DriveStatistics(), Pace(driver.control_dt)
     left = round(seconds / driver.control_dt) if math.isfinite(seconds) else math.inf
     try:
         while left > 0:
             due = min(left, pace.steps_due(clock()) if real_time else 1)
             for _ in range(int(due)):
                 moment = advance(driver, controls.stick(driver.time_s, driver.robot.yaw))
-                tally.add(moment, driver.control_dt)
-                report(moment, tally)
+                statistics.add(moment, driver.control_dt)
+                report(moment, statistics)
             left -= due
-            tally.late_s = pace.dropped_s
+            statistics.late_s = pace.dropped_s
             if real_time and left > 0:
                 sleep(max(0.0, pace.next_s - clock()))
     except KeyboardInterrupt:
         pass
-    return tally
+    return statistics

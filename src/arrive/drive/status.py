@@ -3,7 +3,7 @@
 import math
 import sys
 
-from arrive.drive.session import Moment, Tally
+from arrive.drive.session import DriveStatistics, Moment
 
 LIVE_S, PLAIN_S = 0.1, 5.0
 """Simulated time between lines: on a terminal, where each line replaces the last one, and in a file [s]."""
@@ -19,12 +19,13 @@ class StatusLine:
         self._live = sys.stdout.isatty()
         self._next_s = 0.0
 
-    def report(self, moment: Moment, tally: Tally) -> None:
+    def report(self, moment: Moment, statistics: DriveStatistics) -> None:
         """Add a step, and print it if it is time."""
         if moment.time_s < self._next_s and not moment.fell:
             return
         self._next_s = moment.time_s + (LIVE_S if self._live else PLAIN_S)
-        print(("\r\x1b[K" if self._live else "") + describe(moment, tally), end="" if self._live else "\n", flush=True)
+        start, end = ("\r\x1b[K", "") if self._live else ("", "\n")
+        print(start + describe(moment, statistics), end=end, flush=True)
 
     def close(self) -> None:
         """Keep the last line on the terminal."""
@@ -32,7 +33,7 @@ class StatusLine:
             print()
 
 
-def describe(moment: Moment, tally: Tally) -> str:
+def describe(moment: Moment, statistics: DriveStatistics) -> str:
     """One step as a line. The arrow shows the commanded direction relative to the robot's heading."""
     asked = "stop"
     if moment.commanded_speed:
@@ -41,15 +42,15 @@ def describe(moment: Moment, tally: Tally) -> str:
         asked = f"{arrow} {moment.commanded_speed:.2f} m/s"
     speed = math.hypot(*moment.velocity_w)
     reached = f"{moment.along:+.2f} m/s along, {speed:.2f} in all" if moment.commanded_speed else f"{speed:.2f} m/s"
-    return f"{moment.time_s:7.1f} s  {moment.mode:8}  asked {asked:10}  walks {reached}  falls {tally.falls}"
+    return f"{moment.time_s:7.1f} s  {moment.mode:8}  asked {asked:10}  walks {reached}  falls {statistics.falls}"
 
 
-def summarise(tally: Tally) -> str:
+def summarise(statistics: DriveStatistics) -> str:
     """The whole drive as a line."""
-    words = f"{tally.time_s:.1f} s, {tally.falls} falls"
-    if tally.driven_s:
-        asked, along = tally.commanded_m / tally.driven_s, tally.along_m / tally.driven_s
+    words = f"{statistics.time_s:.1f} s, {statistics.falls} falls"
+    if statistics.driven_s:
+        asked, along = statistics.commanded_m / statistics.driven_s, statistics.along_m / statistics.driven_s
         words += f"; commanded {asked:.2f} m/s on average, achieved {along:.2f} m/s along the command"
-    if tally.late_s:
-        words += f"; the machine was too slow for real time and lost {tally.late_s:.1f} s"
+    if statistics.late_s:
+        words += f"; the machine was too slow for real time and lost {statistics.late_s:.1f} s"
     return words

@@ -93,7 +93,7 @@ class Setting:
 
     layout: Layout = "training"
     trial: Trial | None = None
-    """One errand for every robot; None for the task's own commands."""
+    """The same command for every robot; None for the task's own commands."""
     randomise: Callable[[RandomisationConfig], RandomisationConfig] = lambda config: config
     variants: int | None = None
     """Worlds per value of a family's parameter; None for as many as in training."""
@@ -181,7 +181,7 @@ def evaluate(
 
     Args:
         episodes: per cell.
-        progress: told policy steps done so far and their number.
+        progress: called with the policy steps done so far and their total.
         pilot: makes what acts for the robots of an environment in the policy's place.
 
     Raises:
@@ -214,7 +214,7 @@ def _part_seed(seed: int, index: int) -> int:
 def _environment(
     policy: Policy, cells: Sequence[Cell], part: Tensor, seed: int, threads: int, setting: Setting
 ) -> ArriveEnv:
-    """Robots that stay on the cells they are dealt, on the policy's device."""
+    """Robots that stay on their assigned cells, on the policy's device."""
     config = policy.config
     present = sorted(set(part.tolist()))
     families = list(dict.fromkeys(cells[i].family.name for i in present))

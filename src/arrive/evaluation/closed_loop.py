@@ -49,7 +49,7 @@ class ControlledRobots:
         readings, goals = self._measured(observation.double()), self._targets_w.numpy()
         left_s = self._env.task.command.time_left_s.tolist()
         joint_targets = self._default.repeat(self._env.num_envs, 1)
-        for i in (~self._env.retired).nonzero().squeeze(-1).tolist():
+        for i in (~self._env.inactive).nonzero().squeeze(-1).tolist():
             sensors = Sensors(**{name: values[i] for name, values in readings.items()}, time_s=now_s[i])
             terrain = GridHeights(self._heights_w[i], now_s[i])
             goal = Target(goals[i], now_s[i] + left_s[i])

@@ -104,7 +104,7 @@ def measure(
     Args:
         episodes: per level.
         levels: evenly spaced levels per family; None for the table `LEVELS`.
-        progress: told policy steps done so far and their number.
+        progress: called with the policy steps done so far and their total.
         chosen: the only value that is measured of some families, by name.
     """
     chosen = chosen or {}

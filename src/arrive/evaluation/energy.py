@@ -1,4 +1,4 @@
-"""Energy per metre at speeds that policies are told (paper, section Energy Consumption, figure 5)."""
+"""Energy per metre at commanded speeds (paper, section Energy Consumption, figure 5)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ def measure_energy(
     Args:
         robots: per speed.
         way_m: how far each walks [m].
-        progress: told robot metres walked so far and their number.
+        progress: called with the metres that all robots walked so far and their total.
 
     Returns:
         JSON data: which policy, and a row per speed.
@@ -82,8 +82,8 @@ def measure_energy(
         ArriveError: nothing to measure, or a policy whose task takes no constant command.
     """
     check_arguments(speeds, robots, way_m)
-    told = [Heading(speed) for speed in speeds]
-    env = walking_env(policy, told, robots, way_m / SLOWEST, seed, threads)
+    commands = [Heading(speed) for speed in speeds]
+    env = walking_env(policy, commands, robots, way_m / SLOWEST, seed, threads)
     walks = walk(env, policy, meter(env, threads), way_m, progress)
     parts = torch.arange(len(speeds)).repeat_interleave(robots)
     rows = [row(speed, walks, parts == i, way_m) for i, speed in enumerate(speeds)]
@@ -132,7 +132,7 @@ def walk(env: ArriveEnv, pilot: Pilot, motors: MeteredPhysics, way_m: float, pro
         if bool(ended.any()):
             time_s[ended.cpu()] = step * env.control_dt
             waiting &= ~ended
-            env.retire(ended.nonzero().squeeze(-1))
+            env.deactivate(ended.nonzero().squeeze(-1))
         progress(int(torch.where(waiting, way.clamp(0.0, way_m), way_m).sum()), round(n * way_m))
         if not bool(waiting.any()):
             break
@@ -158,7 +158,7 @@ def row(speed: float, walks: Walks, mine: Tensor, way_m: float) -> dict[str, Any
     """One speed's figures as JSON data; None where fewer than two robots walked.
 
     Args:
-        mine: (n,) bool, the robots that were told this speed.
+        mine: (n,) bool, the robots with this commanded speed.
     """
     fell = mine & walks.fell
     walked = mine & ((walks.fell & (walks.way_m >= LEAST_M)) | walks.finished)

@@ -47,7 +47,7 @@ class Record:
 
 def measure_gait(
     policy: Policy,
-    told: Sequence[Heading],
+    commands: Sequence[Heading],
     robots: int,
     seconds: float,
     seed: int,
@@ -59,7 +59,7 @@ def measure_gait(
     Args:
         robots: per speed and direction.
         seconds: how long they are looked at [s].
-        progress: told policy steps done so far and their number.
+        progress: called with the policy steps done so far and their total.
 
     Returns:
         JSON data: which policy, its feet, and a row per speed and direction.
@@ -67,12 +67,12 @@ def measure_gait(
     Raises:
         ArriveError: nothing to measure, or a policy whose task takes no such command.
     """
-    check_arguments(told, robots, seconds)
-    env = walking_env(policy, list(told), robots, SETTLE_S + seconds, seed, threads)
+    check_arguments(commands, robots, seconds)
+    env = walking_env(policy, list(commands), robots, SETTLE_S + seconds, seed, threads)
     record = walk_steadily(env, policy, seconds, progress)
     corners = foot_corners(env.robot)
     rows = []
-    for index, heading in enumerate(told):
+    for index, heading in enumerate(commands):
         mine = slice(index * robots, (index + 1) * robots)
         rows.append(_told(heading) | describe_gait(_part(record, mine), corners, env.control_dt))
     return origin_of(policy) | {
@@ -82,14 +82,14 @@ def measure_gait(
     }
 
 
-def check_arguments(told: Sequence[Heading], robots: int, seconds: float) -> None:
+def check_arguments(commands: Sequence[Heading], robots: int, seconds: float) -> None:
     """Refuse what would measure nothing.
 
     Raises:
         ArriveError: no speeds or directions, fewer than two robots, or too short a look.
     """
-    check_speeds(tuple(heading.speed for heading in told))
-    if not all(-360.0 <= heading.direction_deg <= 360.0 for heading in told):
+    check_speeds(tuple(heading.speed for heading in commands))
+    if not all(-360.0 <= heading.direction_deg <= 360.0 for heading in commands):
         raise ArriveError("--directions must be angles from -360 to 360 deg")
     if not 2 <= robots <= 10_000:
         raise ArriveError(f"--robots must be 2 to 10000, for the intervals come from their spread, not {robots}")
@@ -135,7 +135,7 @@ def _part(record: Record, mine: slice) -> Record:
 
 
 def describe_gait(record: Record, corners: np.ndarray, dt: float) -> dict[str, Any]:
-    """The gait of robots that were told the same, as JSON data.
+    """The gait of robots that had the same command, as JSON data.
 
     Means are over the robots that walked and make whole strides; the name is the commonest of theirs. The reference
     foot is the one that stands longest.

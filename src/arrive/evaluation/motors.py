@@ -39,9 +39,9 @@ class MeteredPhysics:
         """All but stepping is the engine's own."""
         return getattr(self._engine, name)
 
-    def retire(self, env_ids: Tensor) -> None:
+    def deactivate(self, env_ids: Tensor) -> None:
         self._active[env_ids] = False
-        self._engine.retire(env_ids)
+        self._engine.deactivate(env_ids)
 
     def step(self, joint_targets: Tensor) -> None:
         for _ in range(self._decimation):

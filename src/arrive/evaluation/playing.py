@@ -62,7 +62,7 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lam
 
     Args:
         watched: robots whose poses are recorded.
-        progress: told policy steps done so far and their number.
+        progress: called with the policy steps done so far and their total.
     """
     n = env.num_envs
     played = Played(
@@ -108,7 +108,7 @@ def _note_ended(env: ArriveEnv, played: Played, waiting: Tensor, step: int) -> N
         for env_id in ended_ids[new & mask.cpu()].tolist():
             played.cause[env_id] = cause
     waiting[ids] = False
-    env.retire(ids.to(env.device))
+    env.deactivate(ids.to(env.device))
 
 
 def _poses(env: ArriveEnv, watched: Tensor) -> np.ndarray:

@@ -43,8 +43,8 @@ MOVED_M = 0.05
 
 
 @dataclass(frozen=True)
-class Errands:
-    """Where robots are sent, and by when."""
+class ReachGrid:
+    """The distances, directions and times of a measurement."""
 
     distances: tuple[float, ...] = DISTANCES
     directions: tuple[float, ...] = DIRECTIONS
@@ -52,7 +52,7 @@ class Errands:
     layout: Layout = "evaluation"
 
     def check(self) -> None:
-        """Refuse errands that cannot be run.
+        """Refuse a grid that cannot be run.
 
         Raises:
             ArriveError: no distances, directions or times, or one out of range.
@@ -71,33 +71,33 @@ class Errands:
         """The time of the table by direction and of waiting: the one nearest to the protocol's [s]."""
         return min(self.times, key=lambda time: abs(time - TRIAL.duration_s))
 
-    def journeys(self, episodes: int) -> list["Journeys"]:
-        """What is run on each terrain: one for each time, then all directions, then the wait.
+    def batches(self, episodes: int) -> list["Batch"]:
+        """The episodes on each terrain: one batch for each time, then one for all directions, then one for waiting.
 
         Args:
-            episodes: behind every row of a table, at least.
+            episodes: least number per row of a table.
         """
         ahead = [(distance, self.ahead) for distance in self.distances]
         around = [(distance, direction) for direction in self.directions for distance in self.distances]
         shared = math.ceil(episodes / len(self.distances))
         return [
-            *(Journeys(ahead, time_s, episodes) for time_s in self.times),
-            Journeys(around, self.time_s, shared),
-            Journeys(ahead, self.time_s, shared, WAIT_S),
+            *(Batch(ahead, time_s, episodes) for time_s in self.times),
+            Batch(around, self.time_s, shared),
+            Batch(ahead, self.time_s, shared, WAIT_S),
         ]
 
 
 @dataclass(frozen=True)
-class Journeys:
-    """Robots that have the same time to get to several places."""
+class Batch:
+    """Episodes of the same length with several targets."""
 
-    places: list[tuple[float, float]]
+    targets: list[tuple[float, float]]
     """Distance [m] and direction [deg] of each."""
     time_s: float
     episodes: int
-    """To each place."""
+    """Per target."""
     wait_s: float = 0.0
-    """How long robots then stay there."""
+    """How long robots must then stay at the target."""
 
 
 def _check(option: str, values: Sequence[float], least: float, most: float, unit: str) -> None:
@@ -109,7 +109,7 @@ def _check(option: str, values: Sequence[float], least: float, most: float, unit
 
 
 def check_policy(policy: Policy) -> PositionConfig:
-    """The configuration of a policy's task; refuse policies that cannot be sent to a place.
+    """The configuration of a policy's task; refuse policies whose task has no targets.
 
     Raises:
         ArriveError: its task has no targets.
@@ -139,7 +139,7 @@ def hardest_solved(folder: Path, family: Family, levels: int) -> float:
 def measure(
     policy: Policy,
     grounds: Sequence[Ground],
-    errands: Errands,
+    grid: ReachGrid,
     episodes: int,
     seed: int,
     threads: int = 0,
@@ -148,12 +148,12 @@ def measure(
     """Send robots to every distance by every time, to every direction, and let them wait.
 
     Robots start as in the protocol of maximum difficulty: facing along the tile's x axis, without pushes. A target that
-    would stand in a hole stands at the next place straight behind it.
+    would lie in a hole is moved to the next valid place straight behind it.
 
     Args:
         grounds: of different families; their layout is not looked at.
         episodes: behind every row of a table.
-        progress: told policy steps done so far and their number.
+        progress: called with the policy steps done so far and their total.
 
     Returns:
         The result as JSON data; nothing in it changes when the measurement is repeated.
@@ -161,43 +161,43 @@ def measure(
     Raises:
         ArriveError: nothing to measure, or a policy whose task has no targets.
     """
-    errands.check()
+    grid.check()
     check_policy(policy)
-    journeys, control_dt = errands.journeys(episodes), policy.config.physics.control_dt
-    steps = [round((journey.time_s + journey.wait_s) / control_dt) for journey in journeys]
+    batches, control_dt = grid.batches(episodes), policy.config.physics.control_dt
+    steps = [round((batch.time_s + batch.wait_s) / control_dt) for batch in batches]
     total, before = sum(steps) * len(grounds), 0
     families = {}
     for ground in grounds:
         answers = []
-        for journey, own in zip(journeys, steps, strict=True):
+        for batch, own in zip(batches, steps, strict=True):
 
             def advanced(done: int, of: int, before: int = before, own: int = own) -> None:
                 progress(before + own * done // of, total)
 
-            answers.append(_run(policy, ground, errands.layout, journey, seed, threads, advanced))
+            answers.append(_run(policy, ground, grid.layout, batch, seed, threads, advanced))
             before += own
-        families[ground.family.name] = _tables(errands, ground, answers, policy)
-    protocol = _protocol(policy, errands, episodes, seed)
+        families[ground.family.name] = _tables(grid, ground, answers, policy)
+    protocol = _protocol(policy, grid, episodes, seed)
     return {
         "families": families,
         "policy": describe(policy),
-        "protocol": protocol | {"effort": effort(errands, episodes, len(grounds))},
+        "protocol": protocol | {"effort": effort(grid, episodes, len(grounds))},
         "commit": commit(),
     }
 
 
-def effort(errands: Errands, episodes: int, grounds: int) -> int:
+def effort(grid: ReachGrid, episodes: int, grounds: int) -> int:
     """Number of episodes of a whole measurement."""
-    return grounds * sum(len(journey.places) * journey.episodes for journey in errands.journeys(episodes))
+    return grounds * sum(len(batch.targets) * batch.episodes for batch in grid.batches(episodes))
 
 
 def _run(
-    policy: Policy, ground: Ground, layout: Layout, journey: Journeys, seed: int, threads: int, progress: Progress
+    policy: Policy, ground: Ground, layout: Layout, batch: Batch, seed: int, threads: int, progress: Progress
 ) -> Arrival:
-    trial = replace(TRIAL, duration_s=journey.time_s, wait_s=journey.wait_s, hold_s=hold_time(check_policy(policy)))
-    cells = [Cell(ground.family, None, ground.value, _in_tile(*place)) for place in journey.places]
+    trial = replace(TRIAL, duration_s=batch.time_s, wait_s=batch.wait_s, hold_s=hold_time(check_policy(policy)))
+    cells = [Cell(ground.family, None, ground.value, _in_tile(*target)) for target in batch.targets]
     setting = Setting(layout, trial, randomised, VARIANTS, record=False)
-    return evaluate(policy, cells, journey.episodes, seed, threads, progress, setting)
+    return evaluate(policy, cells, batch.episodes, seed, threads, progress, setting)
 
 
 def _in_tile(distance: float, direction_deg: float) -> tuple[float, float]:
@@ -205,30 +205,28 @@ def _in_tile(distance: float, direction_deg: float) -> tuple[float, float]:
     return distance * math.cos(angle), distance * math.sin(angle)
 
 
-def _tables(errands: Errands, ground: Ground, answers: Sequence[Arrival], policy: Policy) -> dict[str, Any]:
+def _tables(grid: ReachGrid, ground: Ground, answers: Sequence[Arrival], policy: Policy) -> dict[str, Any]:
     """The tables of one terrain.
 
     Args:
-        answers: of `Errands.journeys`, in their order.
+        answers: of `ReachGrid.batches`, in their order.
     """
     *by_time, around, waited = answers
-    count, family = len(errands.distances), ground.family
+    count, family = len(grid.distances), ground.family
     return {
         "parameter": family.parameter,
         "unit": family.unit,
         "value": ground.value,
         "distances": [
-            _row(answer, [i], distance, errands.ahead, time_s)
-            for time_s, answer in zip(errands.times, by_time, strict=True)
-            for i, distance in enumerate(errands.distances)
+            _row(answer, [i], distance, grid.ahead, time_s)
+            for time_s, answer in zip(grid.times, by_time, strict=True)
+            for i, distance in enumerate(grid.distances)
         ],
         "directions": [
-            _row(around, range(i * count, (i + 1) * count), None, direction, errands.time_s)
-            for i, direction in enumerate(errands.directions)
+            _row(around, range(i * count, (i + 1) * count), None, direction, grid.time_s)
+            for i, direction in enumerate(grid.directions)
         ],
-        "waiting": _waiting(
-            waited, check_policy(policy).arrival_radius, errands.time_s, policy.config.physics.control_dt
-        ),
+        "waiting": _waiting(waited, check_policy(policy).arrival_radius, grid.time_s, policy.config.physics.control_dt),
     }
 
 
@@ -280,24 +278,24 @@ def _waiting(answer: Arrival, radius: float, time_s: float, control_dt: float) -
     }
 
 
-def _protocol(policy: Policy, errands: Errands, episodes: int, seed: int) -> dict[str, Any]:
+def _protocol(policy: Policy, grid: ReachGrid, episodes: int, seed: int) -> dict[str, Any]:
     task = check_policy(policy)
     return {
         "name": NAME,
         "episodes": episodes,
         "seed": seed,
-        "layout": errands.layout,
-        "distances_m": list(errands.distances),
-        "directions_deg": list(errands.directions),
-        "times_s": list(errands.times),
+        "layout": grid.layout,
+        "distances_m": list(grid.distances),
+        "directions_deg": list(grid.directions),
+        "times_s": list(grid.times),
         "arrival_radius_m": task.arrival_radius,
         "worlds": VARIANTS,
         "randomisation": to_dict(randomised(policy.config.randomisation)),
         "success": "within the arrival radius of the target when the time is over, without a crash",
-        "by_distance": f"in the direction {errands.ahead:g} deg, for each time given",
-        "by_direction": f"all distances in equal parts, {errands.time_s:g} s; relative to the heading at the start",
+        "by_distance": f"in the direction {grid.ahead:g} deg, for each time given",
+        "by_direction": f"all distances in equal parts, {grid.time_s:g} s; relative to the heading at the start",
         "waiting": (
-            f"{WAIT_S:g} s at the target after the {errands.time_s:g} s, all distances in equal parts; the policy is "
+            f"{WAIT_S:g} s at the target after the {grid.time_s:g} s, all distances in equal parts; the policy is "
             f"told {hold_time(task):g} s of remaining time, as a robot's controller tells it"
         ),
         "holes": "a target that would stand in a hole stands at the next place straight behind it",

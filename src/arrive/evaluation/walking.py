@@ -15,7 +15,7 @@ from arrive.learning.policy import Policy
 from arrive.task.continuous import ContinuousPositionTask
 from arrive.task.final import FinalPositionTask
 from arrive.task.registry import get_task
-from arrive.task.task import Cruise
+from arrive.task.task import ConstantCommand
 from arrive.task.velocity import VelocityTask
 from arrive.terrain.levels import EVALUATION_SEED_OFFSET
 
@@ -28,7 +28,7 @@ TERRAIN = "flat"
 
 @dataclass(frozen=True)
 class Heading:
-    """What robots are told: a speed and a direction."""
+    """A commanded speed and direction."""
 
     speed: float
     """[m/s]."""
@@ -37,7 +37,7 @@ class Heading:
 
 
 def walking_env(
-    policy: Policy, told: list[Heading], robots: int, duration_s: float, seed: int, threads: int
+    policy: Policy, commands: list[Heading], robots: int, duration_s: float, seed: int, threads: int
 ) -> ArriveEnv:
     """Robots on endless flat ground, `robots` for each command in turn, with full noise and without pushes.
 
@@ -49,8 +49,8 @@ def walking_env(
     Raises:
         ArriveError: the policy's task cannot be commanded so, or it is one of another observation.
     """
-    headings = [heading for heading in told for _ in range(robots)]
-    cruise = constant_command(policy, headings, duration_s)
+    headings = [heading for heading in commands for _ in range(robots)]
+    constant = constant_command(policy, headings, duration_s)
     n, config = len(headings), policy.config
     config = replace(
         config,
@@ -61,17 +61,17 @@ def walking_env(
         randomisation=randomised(config.randomisation),
     )
     nowhere = torch.zeros(n, dtype=torch.long, device=policy.device)
-    placement = Placement(trial=cruise, seed_offset=EVALUATION_SEED_OFFSET, assignment=(nowhere, nowhere))
+    placement = Placement(trial=constant, seed_offset=EVALUATION_SEED_OFFSET, assignment=(nowhere, nowhere))
     env = build_env(config, placement, threads)
     policy.check(env)
     return env
 
 
-def constant_command(policy: Policy, headings: list[Heading], duration_s: float) -> Cruise:
-    """What each robot is told for ever, by the policy's task (paper, section Energy Consumption).
+def constant_command(policy: Policy, headings: list[Heading], duration_s: float) -> ConstantCommand:
+    """The constant command of each robot, by the policy's task (paper, section Energy Consumption).
 
-    V is told its speed; P_f a target that stays `LEAD_M` ahead and LEAD_M / speed of remaining time, which does not
-    run; P_c a target that stays speed * `LEAD_S` ahead, in the middle of its time.
+    V gets its speed. P_f gets a target that stays `LEAD_M` ahead, and a constant remaining time of LEAD_M / speed. P_c
+    gets a target that stays speed * `LEAD_S` ahead, in the middle of its time.
 
     Raises:
         ArriveError: the task is none of these, or it cannot walk in such a direction.
@@ -86,7 +86,7 @@ def constant_command(policy: Policy, headings: list[Heading], duration_s: float)
         lead, time_left = speed * LEAD_S, torch.full_like(speed, episode_s / 2)
     else:
         lead, time_left = torch.full_like(speed, LEAD_M), LEAD_M / speed
-    return Cruise(
+    return ConstantCommand(
         duration_s=duration_s,
         offset_w=(lead[:, None] * ahead).to(policy.device),
         time_left_s=time_left.to(policy.device),
@@ -116,14 +116,14 @@ def check_command(policy: Policy, headings: Sequence[Heading] = ()) -> None:
         )
 
 
-def told_directions(told: list[Heading], robots: int) -> Tensor:
-    """(len(told) * robots, 2) unit vectors in the world in which the robots are sent."""
-    angle = torch.tensor([math.radians(heading.direction_deg) for heading in told]).repeat_interleave(robots)
+def commanded_directions(commands: list[Heading], robots: int) -> Tensor:
+    """(len(commands) * robots, 2) unit vectors of the commanded directions in the world."""
+    angle = torch.tensor([math.radians(heading.direction_deg) for heading in commands]).repeat_interleave(robots)
     return torch.stack([angle.cos(), angle.sin()], dim=-1)
 
 
 def check_speeds(speeds: tuple[float, ...]) -> None:
-    """Refuse speeds that no robot can be told.
+    """Refuse speeds that cannot be commanded.
 
     Raises:
         ArriveError: none, or one that is not positive and finite.

@@ -14,7 +14,7 @@ from arrive.config import Config
 from arrive.env import POLICY, Finished
 from arrive.errors import ArriveError
 from arrive.recipe import make_config
-from arrive.task.curriculum import deal_families
+from arrive.task.curriculum import assign_families
 from arrive.terrain import parse_families
 from arrive.terrain.levels import level_values
 
@@ -119,7 +119,7 @@ def _numbers(size: int) -> gymnasium.spaces.Box:
 
 
 def _placement(config: Config, level: int | None) -> Placement:
-    """Robots dealt to the families, to stay on the level; the curriculum's placement for None."""
+    """Robots spread over the families on a fixed level; None for the curriculum."""
     if level is None:
         return Placement()
     if not 0 <= level < config.terrain.levels:
@@ -127,7 +127,7 @@ def _placement(config: Config, level: int | None) -> Placement:
     families = parse_families(",".join(config.terrain.families))
     # A family without a parameter has one level only.
     available = torch.tensor([min(level, len(level_values(f, config.terrain.levels)) - 1) for f in families])
-    family = deal_families(config.num_envs, len(families))
+    family = assign_families(config.num_envs, len(families))
     return Placement(assignment=(family, available[family]))
 
 

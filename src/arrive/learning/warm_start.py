@@ -11,7 +11,7 @@ from arrive.errors import ArriveError
 from arrive.learning.checkpoint import check_fits, load_checkpoint
 from arrive.learning.policy import Policy
 from arrive.learning.state import TrainingState
-from arrive.task.curriculum import deal_families
+from arrive.task.curriculum import assign_families
 
 
 def warm_start(state: TrainingState, config: Config, start: Path | Policy) -> int:
@@ -43,7 +43,7 @@ def _take_run(state: TrainingState, config: Config, path: Path) -> int:
         levels = reached_levels(saved, origin.config.terrain)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise _misfit(path, error) from error
-    state.env.settle(levels)
+    state.env.start_at_levels(levels)
     return origin.samples
 
 
@@ -64,5 +64,5 @@ def reached_levels(saved: dict[str, Any], terrain: TerrainConfig) -> dict[str, T
     """Levels of a checkpoint's robots by terrain family, from 0 (easiest) to 1 (hardest)."""
     parts = [part["env"]["levels"] for part in (saved, *saved["others"])]
     levels = torch.cat(parts) / max(terrain.levels - 1, 1)
-    family = torch.cat([deal_families(len(part), len(terrain.families)) for part in parts])
+    family = torch.cat([assign_families(len(part), len(terrain.families)) for part in parts])
     return {name: levels[family == index] for index, name in enumerate(terrain.families)}

@@ -50,7 +50,7 @@ class CpuPhysics:
         self._world_of_env = np.zeros(num_envs, dtype=np.int64)
         self._moved = True
         self._failed = np.zeros(num_envs, dtype=bool)
-        self._retired = np.zeros(num_envs, dtype=bool)
+        self._inactive = np.zeros(num_envs, dtype=bool)
 
     @property
     def world_of_env(self) -> np.ndarray:
@@ -87,14 +87,14 @@ class CpuPhysics:
     def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
         self._state["qvel"][env_ids.numpy(), :3] += lin_vel_w.numpy()
 
-    def retire(self, env_ids: Tensor) -> None:
-        self._retired[env_ids.numpy()] = True
+    def deactivate(self, env_ids: Tensor) -> None:
+        self._inactive[env_ids.numpy()] = True
 
     def step(self, joint_targets: Tensor) -> None:
         if self._moved:
             self._batch.set_models([self._worlds[world] for world in self._world_of_env])
             self._moved = False
-        ids, targets = np.flatnonzero(~self._retired) if self._retired.any() else None, joint_targets.numpy()
+        ids, targets = np.flatnonzero(~self._inactive) if self._inactive.any() else None, joint_targets.numpy()
         if self._motors is None:
             self._advance(ids, targets, self.decimation)
             return

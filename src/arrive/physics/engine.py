@@ -73,7 +73,7 @@ class Physics(Protocol):
     def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
         """Add (n, 3) world-frame velocity to the bases [m/s]."""
 
-    def retire(self, env_ids: Tensor) -> None:
+    def deactivate(self, env_ids: Tensor) -> None:
         """Stop simulating these environments, because an evaluation does not need them any more."""
 
     def step(self, joint_targets: Tensor) -> None:

@@ -90,7 +90,7 @@ class WarpPhysics:
         self._shared_loss = torch.zeros((), dtype=torch.bool, device=self.device)
         self._bind_worlds(template, tables)
         self._world_of_env = torch.zeros(num_envs, dtype=torch.long, device=self.device)
-        self._retired = torch.zeros(0, dtype=torch.long, device=self.device)
+        self._inactive = torch.zeros(0, dtype=torch.long, device=self.device)
         self._steps = 0
         self.place(torch.arange(num_envs, device=self.device), self._world_of_env.clone())
         self._graph = self._capture()
@@ -197,20 +197,20 @@ class WarpPhysics:
     def push(self, env_ids: Tensor, lin_vel_w: Tensor) -> None:
         self._state["qvel"][env_ids, :3] += lin_vel_w.float()
 
-    def retire(self, env_ids: Tensor) -> None:
-        self._retired = torch.cat([self._retired, env_ids]).unique()
+    def deactivate(self, env_ids: Tensor) -> None:
+        self._inactive = torch.cat([self._inactive, env_ids]).unique()
 
     def step(self, joint_targets: Tensor) -> None:
-        """Advance one policy step. Retired robots are computed with the others, and their state is then restored.
+        """Advance one policy step. Inactive robots are computed with the others, and their state is then restored.
 
         Raises:
             ArriveError: the shared list of contacts overflowed.
         """
         (self._motors.targets if self._motors else self._state["ctrl"]).copy_(joint_targets)
-        kept = {name: view[self._retired] for name, view in self._state.items()}
+        kept = {name: view[self._inactive] for name, view in self._state.items()}
         self._launch()
         for name, values in kept.items():
-            self._state[name][self._retired] = values
+            self._state[name][self._inactive] = values
         self._shared_loss |= (self._overflow & int(SHARED_LOSS)).any()
         self._steps += 1
         if self._steps % CHECK_STEPS == 0:

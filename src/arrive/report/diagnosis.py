@@ -35,8 +35,8 @@ def why_stuck(results: Sequence[CellResult]) -> str:
 def how(result: CellResult) -> str:
     """What the others did, commonest first."""
     shares = {cause: count / result.episodes for cause, count in result.failures.items()}
-    told = sorted((cause for cause in shares if shares[cause] >= LEAST_SHARE), key=lambda cause: -shares[cause])
-    return ", ".join(f"{shares[cause]:.1%} {CAUSES.get(cause, cause)}" for cause in told)
+    named = sorted((cause for cause in shares if shares[cause] >= LEAST_SHARE), key=lambda cause: -shares[cause])
+    return ", ".join(f"{shares[cause]:.1%} {CAUSES.get(cause, cause)}" for cause in named)
 
 
 def _value(result: CellResult) -> str:

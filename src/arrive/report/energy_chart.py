@@ -19,7 +19,7 @@ def energy_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
     """Squared torques and cost of transport over the speed reached, and how many robots did not get to the end.
 
     Args:
-        content: of `energy_content`. Points of one policy are joined in the order of the speeds told; bars are 95 %
+        content: of `energy_content`. Points of one policy are joined in the order of commanded speeds; bars are 95 %
             intervals.
     """
     figure, drawn = panels(3, columns)
@@ -34,7 +34,7 @@ def energy_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
         finish(axes, title, "speed reached [m/s]", unit)
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
-    finish(drawn[2], "fell or stood still", "speed told [m/s]", "robots [%]")
+    finish(drawn[2], "fell or stood still", "commanded speed [m/s]", "robots [%]")
     drawn[2].set_ylim(-3, 103)
     legend(figure, drawn)
     return figure

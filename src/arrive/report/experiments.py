@@ -46,9 +46,9 @@ def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     if content is None:
         return head + missing("Not measured.", command_line("energy", *_walkers(runs)))
     protocol = content["protocol"]
-    told = (
+    note = (
         f"<p class=soft>{protocol['robots']} robots walk {protocol['way_m']:g} m of flat ground at each speed, with "
-        f"sensor noise. {symbol('velocity')} is told {protocol['command']['velocity']}; {symbol('final')} "
+        f"sensor noise. {symbol('velocity')} gets {protocol['command']['velocity']}; {symbol('final')} "
         f"{protocol['command']['final']}; {symbol('continuous')} {protocol['command']['continuous']}. Counted are "
         f"{protocol['counted']}. Bars: 95 % intervals.</p>"
     )
@@ -59,13 +59,13 @@ def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
         for policy in Measured.of(content)
         for row in policy.content["speeds"]
     ]
-    figures = table(["policy", "told [m/s]", *ENERGY_COLUMNS, "fell", "stood"], rows)
+    figures = table(["policy", "command [m/s]", *ENERGY_COLUMNS, "fell", "stood"], rows)
     speeds = [f"{row['told_m_s']:g}" for row in content["policies"][0]["speeds"]]
     options = ("--robots", protocol["robots"], "--distance", f"{protocol['way_m']:g}", "--seed", protocol["seed"])
     command = command_line("energy", *_names(content), "--speeds", *speeds, *options)
     return (
         head
-        + told
+        + note
         + statement_list(energy_statements(content))
         + chart(lambda columns: energy_figure(content, columns), "energy over speed")
         + f"<details><summary>All figures</summary>{figures}</details>"
@@ -90,7 +90,7 @@ def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     if content is None:
         return head + missing("Not measured.", command_line("gait", *_walkers(runs)))
     protocol = content["protocol"]
-    told = (
+    note = (
         f"<p class=soft>{protocol['robots']} robots on flat ground, looked at for {protocol['seconds']:g} s after "
         f"{protocol['settle_s']:g} s of walking; bars show when each foot of a typical robot stands. Feet step "
         f"together whose phases differ by at most {protocol['together']:g} strides; a gait has no name where phases "
@@ -119,10 +119,10 @@ def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     command = command_line("gait", *_names(content), "--speeds", *speeds, "--directions", *directions, *options)
     return (
         head
-        + told
+        + note
         + statement_list(gait_statements(content))
         + chart(lambda count: gait_figure(content, count), "footfalls")
-        + f"<details><summary>All figures</summary>{table(['policy', 'told', *columns], rows)}</details>"
+        + f"<details><summary>All figures</summary>{table(['policy', 'command', *columns], rows)}</details>"
         + _origin(command, content)
     )
 
@@ -133,7 +133,7 @@ def stability_section(content: dict[str, Any] | None) -> str:
     if content is None:
         return head + missing("Not measured.", "python benchmarks/stability.py --samples 5e6")
     protocol = content["protocol"]
-    told = (
+    note = (
         "<p class=soft>The paper doubles the steps per iteration, shortens episodes from 20 to 6 s and does not "
         f"bootstrap time-outs. Each is taken back in turn, then all. A seed succeeds where its policy arrives in at "
         f"least {protocol['goal']:.0%} of {protocol['episodes']} episodes of the protocol on the terrain named. "
@@ -154,7 +154,7 @@ def stability_section(content: dict[str, Any] | None) -> str:
     columns = ["terrain", "training", "seeds that succeed", "success: least / median / most [%]"]
     return (
         head
-        + told
+        + note
         + statement_list(stability_statements(content))
         + chart(lambda count: stability_figure(content, count), "success and explained variance by seed", 2)
         + table([*columns, "explained variance", "value loss"], rows)
@@ -168,7 +168,7 @@ def window_section(content: dict[str, Any] | None) -> str:
     if content is None:
         return head + missing("Not measured.", "python benchmarks/time_window.py gap=0.2 --samples 1e7")
     protocol = content["protocol"]
-    told = (
+    note = (
         f"<p class=soft>Trainings on {html.escape(protocol['ground'])} that differ in T<sub>r</sub> alone, up to the "
         f"whole episode of {protocol['episode_s']:g} s, where {symbol('final')} becomes {symbol('continuous')}. "
         f"Success, path and speed by the protocol, {protocol['episodes']} episodes; costs by "
@@ -177,7 +177,7 @@ def window_section(content: dict[str, Any] | None) -> str:
     )
     return (
         head
-        + told
+        + note
         + chart(lambda count: window_figure(content, count), "success, path, cost and speed by T_r", 2)
         + _made_by(content, f"seeds {', '.join(map(str, protocol['seeds']))}")
     )

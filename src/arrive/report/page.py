@@ -295,9 +295,9 @@ def _origins(content: dict[str, Any]) -> str:
             f"<td><code>{html.escape(run['train_command'])}</code>{measured}</td></tr>"
         )
     protocol = next((run["difficulty"]["protocol"] for run in content["runs"] if run["difficulty"]), None)
-    told = _protocol(protocol) if protocol else ""
+    notes = _protocol(protocol) if protocol else ""
     return (
-        f"<h2 id=made>How it was made</h2>{told}<div class=wide><table><tr><th>run</th><th>seed</th><th>commit</th>"
+        f"<h2 id=made>How it was made</h2>{notes}<div class=wide><table><tr><th>run</th><th>seed</th><th>commit</th>"
         f"<th>commands</th></tr>{''.join(rows)}</table></div>"
         f"<p class=small>Page written by {html.escape(content['commit'])}.</p>"
     )
@@ -308,7 +308,7 @@ def _protocol(protocol: dict[str, Any]) -> str:
     return (
         f"<p class=soft>Protocol: {trial['duration_s']:g} s to cross {protocol['terrain_m']:g} m of terrain. "
         f"{symbol('final')} and {symbol('continuous')} get a target {trial['target'][0]:g} m ahead and must be "
-        f"within {protocol['arrival_radius_m']:g} m of it at the end, without a crash. V is told to walk forward at "
+        f"within {protocol['arrival_radius_m']:g} m of it at the end, without a crash. V must walk forward at "
         f"{trial['speed']:g} m/s, facing along the terrain, and must get farther than {trial['walk']:g} m, even if it "
         f"crashes afterwards. Start heading ±{start['start_yaw_rad']:g} rad, position ±{start['start_offset']:g} m, "
         f"velocity ±{start['start_speed']:g} m/s and rad/s, joints ±{100 * start['start_joint_scale']:g} %; friction "

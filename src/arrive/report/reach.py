@@ -16,7 +16,7 @@ def ground_words(name: str, entry: dict[str, Any]) -> str:
 
 
 def distance_table(entry: dict[str, Any]) -> Table:
-    """Success by distance, a column per time given; what went wrong is told of the time nearest to the protocol's."""
+    """Success by distance, a column per time given; failures are those of the time nearest to the protocol's."""
     times = list(dict.fromkeys(row["time_s"] for row in entry["distances"]))
     told = entry["waiting"]["time_s"]
     rows = []

@@ -15,7 +15,7 @@ ALIKE = 1.25
 def energy_statements(content: dict[str, Any]) -> list[dict[str, str]]:
     """The paper's statements on figure 5, each `holds`, `fails` or `open`, and why.
 
-    Costs are compared at equal speeds reached, interpolated between the speeds that were told: at the slowest and at
+    Costs are compared at equal speeds reached, interpolated between the commanded speeds: at the slowest and at
     the fastest that all compared policies reach. Where the intervals overlap a comparison is open.
 
     Args:

@@ -10,7 +10,7 @@ FOUND = 0.5
 """The exploration reward is removed once the task reward reaches this share of its maximum (paper, eq. 3)."""
 
 
-def deal_families(num_envs: int, families: int) -> Tensor:
+def assign_families(num_envs: int, families: int) -> Tensor:
     """(num_envs,) index of each robot's terrain family, assigned in turn."""
     return torch.arange(num_envs) % families
 
@@ -35,7 +35,7 @@ class LevelCurriculum:
     def _draw(self, below: Tensor) -> Tensor:
         return (self._uniform(below) * below).floor()
 
-    def deal(self, env_ids: Tensor, review: float) -> Tensor:
+    def next_levels(self, env_ids: Tensor, review: float) -> Tensor:
         """Levels of some robots' next episodes: their own level, or a random easier one.
 
         Args:

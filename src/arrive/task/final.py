@@ -13,7 +13,7 @@ from arrive.task.observations import ObservationConfig, ObservationTerm, observa
 from arrive.task.rewards import STALL_SPEED, PositionRewards, distance_to_target, task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import REACH, next_valid, sample_targets
-from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
+from arrive.task.task import ConstantCommand, Outcome, Setting, Start, TaskConfig, Trial
 
 OBSTACLE_HEIGHT = 0.6
 """Ground this much higher than both robot and target, on the line between them, is an obstacle in the way [m]."""
@@ -97,7 +97,7 @@ class FinalPositionTask:
     sides = (("target", 0), ("target", 1))
     bootstraps = False
 
-    def __init__(self, config: PositionConfig, setting: Setting, trial: Trial | Cruise | None = None):
+    def __init__(self, config: PositionConfig, setting: Setting, trial: Trial | ConstantCommand | None = None):
         """Build the task with no commands yet."""
         self._config = config
         self._dt = setting.control_dt
@@ -109,7 +109,7 @@ class FinalPositionTask:
             target_w=torch.zeros(num_envs, 3, device=device),
             time_left_s=torch.zeros(num_envs, device=device),
             start_distance=torch.ones(num_envs, device=device),
-            counts=torch.zeros(num_envs, dtype=torch.bool, device=device),
+            crossing=torch.zeros(num_envs, dtype=torch.bool, device=device),
         )
         self._tile_ids = torch.zeros(num_envs, dtype=torch.long, device=device)
         self._waited_s = torch.zeros(num_envs, device=device)
@@ -156,27 +156,27 @@ class FinalPositionTask:
         command.target_w[ids] = targets
         command.start_distance[ids] = (targets - start.base_pos_w).norm(dim=-1)
         draw = torch.rand(len(ids), generator=self._generator, device=targets.device)
-        if isinstance(self._trial, Cruise):
+        if isinstance(self._trial, ConstantCommand):
             command.time_left_s[ids] = self._trial.time_left_s[ids]
-            command.counts[ids] = False
+            command.crossing[ids] = False
         elif self._trial is not None:
             command.time_left_s[ids] = self._trial.duration_s
             self._waited_s[ids] = 0.0
-            command.counts[ids] = crossing
+            command.crossing[ids] = crossing
         elif first:
             # Spreads the ends of the first episodes. Their outcome does not count, because they are shortened.
             command.time_left_s[ids] = config.episode_s * draw
-            command.counts[ids] = False
+            command.crossing[ids] = False
         else:
             length = config.episode_min_s + (config.episode_s - config.episode_min_s) * draw
             # Whole policy steps, so that the reward window has the same number of steps in every episode.
             command.time_left_s[ids] = (length / self._dt).round() * self._dt
-            command.counts[ids] = crossing
+            command.crossing[ids] = crossing
 
     def _targets(self, start: Start) -> Tensor:
         if self._trial is None:
             return sample_targets(self._rasters, start.tile_ids, start.base_pos_w, self._config, self._generator)
-        if isinstance(self._trial, Cruise):
+        if isinstance(self._trial, ConstantCommand):
             point = start.base_pos_w[:, :2] + self._trial.offset_w[start.env_ids]
         else:
             target = self._trial.target
@@ -186,8 +186,8 @@ class FinalPositionTask:
         return torch.cat([point, ground + self._config.target_height], dim=-1)
 
     def follow(self, state: State) -> None:
-        """Only the end of an episode matters, not the way; on a cruise the target stays ahead of the robot."""
-        if isinstance(self._trial, Cruise):
+        """With a constant command, keep the target ahead of the robot. Otherwise there is nothing to remember."""
+        if isinstance(self._trial, ConstantCommand):
             everyone = torch.arange(len(self._tile_ids), device=self._tile_ids.device)
             self._command.target_w = self._targets(Start(everyone, state.base_pos_w, self._tile_ids))
 
@@ -203,7 +203,7 @@ class FinalPositionTask:
         if len(ids):
             here, tiles = state.base_pos_w[ids], self._tile_ids[ids]
             self.new_command(Start(ids, here, tiles), first=False)
-            self._command.counts[ids] &= ~look_up(self._rasters.crossing, tiles, here[:, None, :2]).squeeze(1)
+            self._command.crossing[ids] &= ~look_up(self._rasters.crossing, tiles, here[:, None, :2]).squeeze(1)
             if self._config.stop_share > 0.0:
                 self._stop(ids, here)
 
@@ -215,11 +215,11 @@ class FinalPositionTask:
         ground = look_up(self._rasters.heights, self._tile_ids[ids], here[:, None, :2])
         self._command.target_w[ids] = torch.cat([here[:, :2], ground + self._config.target_height], dim=-1)
         self._command.start_distance[ids] = (self._command.target_w[ids] - here).norm(dim=-1)
-        self._command.counts[ids] = False
+        self._command.crossing[ids] = False
 
     def advance(self, dt: float) -> Tensor:
-        if isinstance(self._trial, Cruise):
-            return torch.zeros_like(self._command.counts)
+        if isinstance(self._trial, ConstantCommand):
+            return torch.zeros_like(self._command.crossing)
         left_s = self._command.time_left_s
         left_s -= dt
         over = left_s < dt / 2
@@ -232,7 +232,7 @@ class FinalPositionTask:
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
         """Success is being within the arrival radius without a crash.
 
-        Levels change only for targets beyond the terrain (`Command.counts`).
+        Levels change only for targets beyond the terrain (`Command.crossing`).
         """
         distance = distance_to_target(state, self._command)
         failed = crashed | fell
@@ -242,8 +242,8 @@ class FinalPositionTask:
         apart = self._apart(state, missed)
         return Outcome(
             success=success,
-            promote=success & self._command.counts,
-            demote=~success & self._command.counts,
+            promote=success & self._command.crossing,
+            demote=~success & self._command.crossing,
             failures={
                 "crash": crashed & ~fell,
                 "fell": fell,
@@ -266,7 +266,7 @@ class FinalPositionTask:
         if not len(ids):
             return apart
         tiles, here, there = self._tile_ids[ids], state.base_pos_w[ids, :2], self._command.target_w[ids, :2]
-        before = self._command.counts[ids] & self._rasters.parted[tiles]
+        before = self._command.crossing[ids] & self._rasters.separates[tiles]
         before &= ~look_up(self._rasters.crossing, tiles, here[:, None]).squeeze(1)
         along = torch.linspace(0.0, 1.0, LINE_POINTS, device=here.device)[:, None]
         heights = look_up(self._rasters.heights, tiles, torch.lerp(here[:, None], there[:, None], along))
@@ -287,4 +287,6 @@ class FinalPositionTask:
             value.copy_(state[name])
 
     def _memory(self) -> dict[str, Tensor]:
-        return vars(self._command) | {"tile_ids": self._tile_ids}
+        command = dict(vars(self._command))
+        # The key that checkpoints have for it.
+        return command | {"counts": command.pop("crossing"), "tile_ids": self._tile_ids}

@@ -10,6 +10,9 @@ from arrive.robots.robot import Robot
 from arrive.task.feet import follow_feet
 from arrive.task.state import State
 
+SAVED = {"inactive": "retired"}
+"""Fields whose key in a checkpoint differs."""
+
 
 @dataclass
 class Memory:
@@ -33,8 +36,8 @@ class Memory:
     """(n,) bool: reset or pushed since the state was read."""
     shortened: Tensor
     """(n,) bool: in its first episode of the run, which is shortened."""
-    retired: Tensor
-    """(n,) bool: taken out of the simulation."""
+    inactive: Tensor
+    """(n,) bool: no longer simulated."""
     tile: Tensor
     """(n,) index of the tile that the robot stands on."""
     level: Tensor
@@ -58,7 +61,7 @@ class Memory:
             fresh=~flags(num_envs),
             moved=flags(num_envs),
             shortened=flags(num_envs),
-            retired=flags(num_envs),
+            inactive=flags(num_envs),
             tile=torch.zeros(num_envs, dtype=torch.long, device=device),
             level=torch.zeros(num_envs, dtype=torch.long, device=device),
         )
@@ -93,9 +96,9 @@ class Memory:
 
     def state_dict(self) -> dict[str, Tensor]:
         """A copy, for an exact resume."""
-        return {name: value.clone() for name, value in vars(self).items()}
+        return {SAVED.get(name, name): value.clone() for name, value in vars(self).items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Resume exactly."""
         for row in fields(self):
-            getattr(self, row.name).copy_(state[row.name])
+            getattr(self, row.name).copy_(state[SAVED.get(row.name, row.name)])

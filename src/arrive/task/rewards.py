@@ -229,13 +229,13 @@ LEADING_REWARDS = ("exploration", "approach", "pace")
 class Rewarder:
     """Computes the weighted rewards of a task's terms, as the `Observer` computes the observation."""
 
-    def __init__(self, task: Any, control_dt: float, dear_crashes: bool = False):
+    def __init__(self, task: Any, control_dt: float, crash_cost_rises: bool = False):
         """Bind every term with a weight to its parameters.
 
         Args:
             task: the task's configuration, with its `rewards`.
             control_dt: length of a policy step [s].
-            dear_crashes: include `crash_cost` even if its weight is 0, because a schedule will raise it.
+            crash_cost_rises: include `crash_cost` even if its weight is 0, because a schedule will raise it.
 
         Raises:
             ArriveError: no term has a weight.
@@ -243,7 +243,7 @@ class Rewarder:
         weights = {name: getattr(task.rewards, name).weight for name in functions(task.rewards)}
         self.crash_cost = weights.pop(CRASH_COST)
         """Weight of a crash; a schedule may change it."""
-        self._pays_crashes = bool(self.crash_cost) or dear_crashes
+        self._pays_crashes = bool(self.crash_cost) or crash_cost_rises
         self.terms = {name: bound(name, task) for name, weight in weights.items() if weight}
         if not self.terms:
             raise ArriveError("task.rewards has no reward with a weight other than zero")

@@ -68,5 +68,5 @@ class Command:
     """(n,) until the episode ends [s]."""
     start_distance: Tensor
     """(n,) distance to the target when it was given [m]."""
-    counts: Tensor
+    crossing: Tensor
     """(n,) bool: the target lies beyond the terrain, so that reaching or missing it changes the terrain level."""

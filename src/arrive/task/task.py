@@ -78,7 +78,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Cruise:
+class ConstantCommand:
     """A constant command per robot that never ends, instead of random commands. Each task reads the fields it needs.
 
     In position tasks the target moves with the robot at a constant offset, and the time left stays constant (the
@@ -118,8 +118,8 @@ class Task(Protocol):
     """Whether to bootstrap the value at a time-out. True for tasks that do not observe the time left. The paper argues
     against bootstrapping where the time is observed."""
 
-    def __init__(self, config: Any, setting: Setting, trial: Trial | Cruise | None = None) -> None:
-        """Build the task with no commands yet. A trial or a cruise replaces random commands."""
+    def __init__(self, config: Any, setting: Setting, trial: Trial | ConstantCommand | None = None) -> None:
+        """Build the task with no commands yet. A trial or a constant command replaces random commands."""
 
     @staticmethod
     def from_preset(config: TaskConfig) -> TaskConfig:

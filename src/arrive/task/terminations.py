@@ -42,6 +42,6 @@ def end_episodes(state: State, memory: Memory, time_over: Tensor, own_level: Ten
         fell=fell,
         failed=failed,
         timed_out=time_over & ~failed,
-        ended=(time_over | failed) & ~memory.retired,
+        ended=(time_over | failed) & ~memory.inactive,
         counted=state.finite & ~memory.shortened & ~(memory.level < own_level),
     )

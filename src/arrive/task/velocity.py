@@ -19,7 +19,7 @@ from arrive.task.observations import ObservationConfig, ObservationTerm, around_
 from arrive.task.rewards import STALL_SPEED, Cost, Reward, term
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
-from arrive.task.task import Cruise, Outcome, Setting, Start, TaskConfig, Trial
+from arrive.task.task import ConstantCommand, Outcome, Setting, Start, TaskConfig, Trial
 from arrive.terrain.tile import RASTER_HALF
 
 WALK_TO_RISE = 4.0
@@ -159,7 +159,7 @@ class VelocityTask:
     sides = (("speed_command", 0), ("yaw_rate_command", 0))
     bootstraps = True
 
-    def __init__(self, config: VelocityConfig, setting: Setting, trial: Trial | Cruise | None = None):
+    def __init__(self, config: VelocityConfig, setting: Setting, trial: Trial | ConstantCommand | None = None):
         """Build the task with no commands yet."""
         self._config, self._trial = config, trial
         self._generator = setting.generator
@@ -235,7 +235,7 @@ class VelocityTask:
         """Draw new speeds and headings, or take the trial's."""
         command = self._command
         command.age_s[ids] = 0.0
-        if isinstance(self._trial, Cruise):
+        if isinstance(self._trial, ConstantCommand):
             command.speed[ids], command.heading[ids] = self._trial.speed[ids], self._trial.heading[ids]
             return
         if self._trial is not None:
@@ -259,7 +259,7 @@ class VelocityTask:
 
     def advance(self, dt: float) -> Tensor:
         command = self._command
-        if isinstance(self._trial, Cruise):
+        if isinstance(self._trial, ConstantCommand):
             return torch.zeros_like(command.outside)
         command.time_left_s -= dt
         command.age_s += dt

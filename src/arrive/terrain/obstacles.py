@@ -68,7 +68,7 @@ def build(side: float, rng: np.random.Generator, layout: Layout, size: float) ->
     palette = [LIGHT] + [ACCENT] * len(pillars)
     valid = ~dilate(_covered(centers, sides / 2), STANDING_RADIUS * size)
     hidden = _hidden(centers, sides / 2 + ROBOT_HALF_WIDTH * size)
-    return assemble([square(GROUND_HALF, 0.0), *pillars], palette, valid, hidden, parted=False)
+    return assemble([square(GROUND_HALF, 0.0), *pillars], palette, valid, hidden, separates=False)
 
 
 def _grown(side: float) -> tuple[float, int]:

@@ -17,7 +17,7 @@ def assemble(
     crossing: np.ndarray | None = None,
     height_field: HeightField | None = None,
     fall_height: float = -np.inf,
-    parted: bool = True,
+    separates: bool = True,
 ) -> Tile:
     """A tile of these shapes with its height raster. A mask that is None is true everywhere."""
     everywhere = np.ones((RASTER_SIZE, RASTER_SIZE), dtype=bool)
@@ -26,7 +26,7 @@ def assemble(
         heights=rasterise(boxes, height_field),
         target_valid=everywhere if target_valid is None else target_valid,
         crossing=everywhere if crossing is None else crossing,
-        parted=parted,
+        separates=separates,
         height_field=height_field,
         fall_height=fall_height,
         palette=tuple(palette),

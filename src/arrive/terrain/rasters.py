@@ -19,8 +19,8 @@ class Rasters:
     crossing: Tensor
     fall_height: Tensor
     """(num_tiles,) see `Tile.fall_height` [m]."""
-    parted: Tensor
-    """(num_tiles,) bool, see `Tile.parted`."""
+    separates: Tensor
+    """(num_tiles,) bool, see `Tile.separates`."""
 
     def to(self, device: torch.device) -> "Rasters":
         """The same on a device."""
@@ -43,5 +43,5 @@ def stack_rasters(tiles: Sequence[Tile]) -> Rasters:
         target_valid=torch.from_numpy(np.stack([tile.target_valid for tile in tiles])),
         crossing=torch.from_numpy(np.stack([tile.crossing for tile in tiles])),
         fall_height=torch.tensor([tile.fall_height for tile in tiles], dtype=torch.float32),
-        parted=torch.tensor([tile.parted for tile in tiles]),
+        separates=torch.tensor([tile.separates for tile in tiles]),
     )

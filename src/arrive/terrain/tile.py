@@ -51,7 +51,7 @@ class Tile:
     crossing: np.ndarray
     """bool raster: this cell lies beyond the terrain, as seen from the start. Only targets on such cells count for the
     curriculum."""
-    parted: bool = True
+    separates: bool = True
     """Whether the terrain separates the start from all crossing cells, as a gap does and pillars do not. If so, a robot
     on another cell has not crossed the terrain."""
     height_field: HeightField | None = None
