@@ -17,7 +17,7 @@ from arrive.config import override
 from arrive.deployment.opening import open_policy
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
-from arrive.evaluation.closed_loop import compare, describe
+from arrive.evaluation.closed_loop import compare, comparison_summary
 from arrive.learning.policy import load_policy
 from arrive.terrain import parse_families
 
@@ -51,7 +51,7 @@ def main() -> None:
             lambda i, n: bar.update(steps, completed=i, total=n),
         )
     for row in rows:
-        print(describe(row))
+        print(comparison_summary(row))
 
 
 if __name__ == "__main__":

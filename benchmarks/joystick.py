@@ -27,7 +27,7 @@ from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
 from arrive.drive.driver import Driver
 from arrive.drive.script import random_script
-from arrive.drive.session import DriveStatistics, Moment, advance, run
+from arrive.drive.session import DriveSample, DriveStatistics, advance, run
 from arrive.errors import ArriveError
 from arrive.simulation import SimulatedRobot, continued
 from arrive.terrain.ground import ground_of
@@ -67,16 +67,16 @@ def walk(policy: PolicyFile, robot: SimulatedRobot, magnitude: float, direction:
     driver = Driver(robot, Controller(policy))
     robot.reset(yaw=yaw)
     stick = Joystick(magnitude * math.cos(direction), magnitude * math.sin(direction), yaw)
-    moments: list[Moment] = []
+    samples: list[DriveSample] = []
     for _ in range(round((RUN_UP_S + MEASURED_S) / robot.control_dt)):
-        moments.append(advance(driver, stick))
-        if moments[-1].fell:
+        samples.append(advance(driver, stick))
+        if samples[-1].fell:
             break
-    measured = [moment for moment in moments if moment.time_s > RUN_UP_S + 1e-6] or moments[-1:]
-    along = np.mean([moment.along for moment in measured])
-    angle = moments[0].commanded_angle
-    across = np.mean([moment.velocity_w @ (-math.sin(angle), math.cos(angle)) for moment in measured])
-    return Walk(moments[0].commanded_speed, direction, float(along), float(across), moments[-1].fell)
+    measured = [sample for sample in samples if sample.time_s > RUN_UP_S + 1e-6] or samples[-1:]
+    along = np.mean([sample.along for sample in measured])
+    angle = samples[0].commanded_angle
+    across = np.mean([sample.velocity_w @ (-math.sin(angle), math.cos(angle)) for sample in measured])
+    return Walk(samples[0].commanded_speed, direction, float(along), float(across), samples[-1].fell)
 
 
 def measure(policy: PolicyFile, repeats: int) -> list[Walk]:
@@ -96,7 +96,7 @@ def flat_robot(policy: PolicyFile) -> SimulatedRobot:
 def hectic(policy: PolicyFile, seed: int) -> DriveStatistics:
     """Five minutes of sticks that change every 0.3 to 2 s."""
     driver = Driver(flat_robot(policy), Controller(policy))
-    return run(driver, random_script(seed, HECTIC_S), HECTIC_S, lambda moment, statistics: None, real_time=False)
+    return run(driver, random_script(seed, HECTIC_S), HECTIC_S, lambda sample, statistics: None, real_time=False)
 
 
 def table(walks: list[Walk]) -> str:

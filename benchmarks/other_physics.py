@@ -23,7 +23,7 @@ import tyro
 
 from arrive.commands.threads import use_threads
 from arrive.evaluation.arrival import choose_cells
-from arrive.evaluation.difficulty import measure
+from arrive.evaluation.difficulty import measure_difficulty
 from arrive.files import write_json
 from arrive.learning.policy import load_policy
 from arrive.physics.device import DeviceWish, choose_device
@@ -112,7 +112,7 @@ def main(arguments: Arguments) -> None:
     for label, physics, device in variants(trained.physics, arguments):
         policy = load_policy(arguments.policy, device)
         policy = replace(policy, config=replace(policy.config, physics=physics))
-        found = measure(policy, families, arguments.episodes, arguments.seed, threads=threads, chosen=chosen)
+        found = measure_difficulty(policy, families, arguments.episodes, arguments.seed, threads=threads, chosen=chosen)
         for name, results in found.results.items():
             for result in results:
                 print(f"{name} {result.cell.value}, {label}: {result.rate}", flush=True)

@@ -74,7 +74,7 @@ class Training:
             return known
         ((family, cell),) = choose_cells(policy.config, self.ground)
         chosen = {family.name: cell} if cell else {}
-        answer = difficulty.measure(policy, [family], episodes, 1, threads=self.threads, chosen=chosen)
+        answer = difficulty.measure_difficulty(policy, [family], episodes, 1, threads=self.threads, chosen=chosen)
         (rows,), (usage,) = answer.results.values(), answer.content["policy"]["usage"].values()
         if len(rows) > 1:
             raise SystemExit(f"{family.name} has a parameter: say at which value to measure, as {family.name}=VALUE")

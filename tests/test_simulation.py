@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from arrive.deployment.heights import HeightGrid as DeployedGrid
+from arrive.deployment.heights import HeightSampler
 from arrive.deployment.policy_file import GridSpec
 from arrive.errors import ArriveError
 from arrive.physics.cpu import CpuPhysics
@@ -124,7 +124,7 @@ def test_a_robot_in_the_gap_fell():
 def test_the_height_map_is_what_training_looks_up(family):
     robot = SimulatedRobot(CONFIG, ground_of(family, 9, layout="training").build())
     grid = HeightGrid(CONFIG.observation.heights)
-    deployed = DeployedGrid(GridSpec(grid.points.tolist(), 0.1, 0.5, 1.0))
+    deployed = HeightSampler(GridSpec(grid.points.tolist(), 0.1, 0.5, 1.0))
     rng, raster = np.random.default_rng(0), torch.from_numpy(robot.tile.heights)[None]
     for _ in range(20):
         x, y, yaw = *rng.uniform(-7.5, 7.5, 2), rng.uniform(-np.pi, np.pi)

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from arrive.config import override
-from arrive.learning.run_files import Progress
+from arrive.learning.run_files import RunProgress
 from arrive.learning.trainer import explained_variance
 from arrive.presets import PRESETS, get_preset
 from arrive.report.experiments import stability_section, window_section
@@ -73,7 +73,7 @@ class TestTraining:
     def test_one_that_was_cut_off_goes_on_and_a_finished_one_does_not(self, training, monkeypatch, samples, goes_on):
         training.folder.mkdir()
         (training.folder / "checkpoint.pt").touch()
-        monkeypatch.setattr(trainings, "read_progress", lambda folder: Progress(1, samples, 1.0))
+        monkeypatch.setattr(trainings, "read_progress", lambda folder: RunProgress(1, samples, 1.0))
         training.finish()
         assert len(self.calls) == goes_on
         if goes_on:

@@ -11,7 +11,7 @@ from arrive.env import ArriveEnv
 from arrive.memory import check_robots, check_worlds
 from arrive.physics.device import make_physics
 from arrive.physics.motors import motor_network
-from arrive.physics.pool import Spread, TileSet, build_pool
+from arrive.physics.pool import TileSet, WorldRandomisation, build_pool
 from arrive.robots import get_robot
 from arrive.task.final import PositionConfig
 from arrive.task.registry import get_task
@@ -71,7 +71,7 @@ def build_env(
     device = torch.device(device)
     distance = config.task.target_distance if isinstance(config.task, PositionConfig) else TARGET_DISTANCE
     tile_set = TileSet(families, values, placement.layout, config.terrain.variants, distance)
-    spread = Spread(config.randomisation.friction, config.randomisation.payload_kg)
+    spread = WorldRandomisation(config.randomisation.friction, config.randomisation.payload_kg)
     pool = build_pool(robot, tile_set, spread, config.physics, seed, progress).to(device)
     physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device, network)
     generator = torch.Generator(device).manual_seed(seed)

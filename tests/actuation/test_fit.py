@@ -12,7 +12,7 @@ from arrive.actuation.fit import FitConfig, fit, predict, split_trajectories
 from arrive.actuation.logs import COLUMNS, Trajectory, read_logs
 from arrive.actuation.network_file import read_network, write_network
 from arrive.actuation.responses import (
-    Drive,
+    DriveModel,
     frequency_response,
     loaded_step,
     locked_step,
@@ -254,7 +254,7 @@ class TestResponses:
 
     def test_a_delay_of_two_periods_is_a_phase(self):
         frequencies = np.array([1.0, 7.3, 20.0])
-        answer = frequency_response(Drive("late", self.late, PERIOD, "none"), frequencies, 0.1)
+        answer = frequency_response(DriveModel("late", self.late, PERIOD, "none"), frequencies, 0.1)
         np.testing.assert_allclose(answer, 80.0 * np.exp(-2j * np.pi * frequencies * 2 * PERIOD), atol=1e-6)
 
     def test_a_load_swings_at_its_natural_frequency(self):

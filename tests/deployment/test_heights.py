@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from arrive.deployment import Controller, GridHeights, HeightMap
-from arrive.deployment.heights import HeightGrid
+from arrive.deployment.heights import HeightSampler
 from arrive.deployment.inputs import frame_of
 from arrive.deployment.specs import GridSpec
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF
 from controllers import DT, an_env, sensors_of, step
 
 
-def small_grid() -> HeightGrid:
+def small_grid() -> HeightSampler:
     """Five by five points, 0.1 m apart."""
     points = [[x / 10, y / 10] for x in range(-2, 3) for y in range(-2, 3)]
-    return HeightGrid(GridSpec(points, 0.1, 0.5, 1.0))
+    return HeightSampler(GridSpec(points, 0.1, 0.5, 1.0))
 
 
 def test_height_map_is_read_in_the_heading_frame():

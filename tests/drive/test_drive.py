@@ -17,7 +17,7 @@ from arrive.drive.gamepad import TURN_RAD_S, Gamepad
 from arrive.drive.pace import LARGEST_DELAY_S
 from arrive.drive.script import HOLD_S, Script, random_script, read_script
 from arrive.drive.session import DriveStatistics, advance, run
-from arrive.drive.status import describe, summarise
+from arrive.drive.status import drive_status, summarise
 from arrive.errors import ArriveError
 from arrive.simulation import SimulatedRobot, continued
 from arrive.terrain.ground import ground_of
@@ -36,7 +36,7 @@ def a_drive(policy, log: ControlLog | None = None, terrain: str = "flat") -> Dri
     return Driver(SimulatedRobot(config, continued(ground_of(terrain).build())), Controller(policy, log=log))
 
 
-def nothing(moment, statistics) -> None:
+def nothing(sample, statistics) -> None:
     """Report to nobody."""
 
 
@@ -192,8 +192,8 @@ def test_a_fall_is_counted_and_the_robot_goes_on(policy):
     drive.robot.data.qpos[2] = 0.3
     statistics = DriveStatistics()
     for _ in range(20):
-        statistics.add(moment := advance(drive, AHEAD), 0.02)
-        if moment.fell:
+        statistics.add(sample := advance(drive, AHEAD), 0.02)
+        if sample.fell:
             break
     assert statistics.falls == 1
     assert math.hypot(*drive.robot.base_pos_w[:2]) < 1e-9
@@ -205,7 +205,7 @@ def test_a_fall_is_counted_and_the_robot_goes_on(policy):
     # The log holds the fall too, and gives the same commands again.
     again = replay(log, Controller(policy))
     assert all(np.array_equal(a.targets, b.targets) for a, b in zip(again, log.commands, strict=True))
-    assert "falls 1" in describe(moment, statistics)
+    assert "falls 1" in drive_status(sample, statistics)
 
 
 def test_a_robot_that_leaves_the_ground_is_put_back(policy):
@@ -247,8 +247,8 @@ def test_real_time_is_kept_or_what_is_lost_is_said(step_s, late_s, policy):
 
 
 def test_ctrl_c_ends_a_drive_with_its_tally(policy):
-    def interrupt(moment, statistics):
-        if moment.time_s > 0.51:
+    def interrupt(sample, statistics):
+        if sample.time_s > 0.51:
             raise KeyboardInterrupt
 
     statistics = run(a_drive(policy), Script((0.0,), (AHEAD,)), math.inf, interrupt, real_time=False)
@@ -258,8 +258,8 @@ def test_ctrl_c_ends_a_drive_with_its_tally(policy):
 def test_the_arrow_shows_the_direction_as_the_robot_sees_it(policy):
     drive = a_drive(policy)
     drive.robot.reset(yaw=math.pi / 2)
-    assert "asked →" in describe(advance(drive, AHEAD), DriveStatistics())
-    assert "asked stop" in describe(advance(drive, Joystick(0.0, 0.0)), DriveStatistics())
+    assert "asked →" in drive_status(advance(drive, AHEAD), DriveStatistics())
+    assert "asked stop" in drive_status(advance(drive, Joystick(0.0, 0.0)), DriveStatistics())
 
 
 # The command.

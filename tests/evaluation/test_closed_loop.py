@@ -13,7 +13,13 @@ from arrive.deployment.opening import open_policy
 from arrive.env import POLICY
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import cells_of
-from arrive.evaluation.closed_loop import ControlledRobots, check_pair, compare, describe, tilt
+from arrive.evaluation.closed_loop import (
+    ControlledRobots,
+    check_pair,
+    compare,
+    comparison_summary,
+    with_measured_gravity,
+)
 from arrive.learning.policy import load_policy
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.terrain import FAMILIES
@@ -39,11 +45,11 @@ def test_tilt_turns_gravity_and_nothing_else():
     quat = quat_of_yaw(yaw)
     down = torch.tensor([0.0, 0.0, -1.0], dtype=torch.double).expand(7, 3)
     measured = down + 0.05 * torch.randn(7, 3, generator=torch.Generator().manual_seed(1)).double()
-    tilted = tilt(quat, rotate_inverse(quat, down), measured)
+    tilted = with_measured_gravity(quat, rotate_inverse(quat, down), measured)
     seen = rotate_inverse(tilted, down)
     torch.testing.assert_close(seen, measured / measured.norm(dim=-1, keepdim=True))
     torch.testing.assert_close(yaw_of(tilted), yaw, atol=0.01, rtol=0)
-    torch.testing.assert_close(tilt(quat, down, down), quat)
+    torch.testing.assert_close(with_measured_gravity(quat, down, down), quat)
 
 
 def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeypatch):
@@ -129,7 +135,7 @@ def test_the_controller_arrives_as_often_as_the_network(policy, file):
     assert row.network.success > 0.8
     assert abs(row.difference) <= 0.1
     assert row.agreed >= 48
-    assert f"network {row.network.success:.1%}" in describe(row)
+    assert f"network {row.network.success:.1%}" in comparison_summary(row)
 
 
 def test_only_a_policys_own_export_is_compared(policy, file):

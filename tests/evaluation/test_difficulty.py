@@ -280,7 +280,7 @@ class TestMaximum:
 
     def test_the_levels_reach_beyond_the_paper(self):
         for family, row in PAPER.items():
-            values = [cell.value for cell in difficulty.cells_of(FAMILIES[family], None)]
+            values = [cell.value for cell in difficulty.difficulty_cells(FAMILIES[family], None)]
             assert values == sorted(values)
             assert values[-1] > row["final"]
             assert values[-1] <= FAMILIES[family].highest + 1e-9
@@ -327,7 +327,7 @@ def runs(tmp_path_factory):
 
 def measured(run, **changes) -> dict:
     options = {"episodes": 8, "seed": 1, "levels": 2, "threads": 1} | changes
-    return difficulty.measure(load_policy(run), [FAMILIES["gap"]], **options).content
+    return difficulty.measure_difficulty(load_policy(run), [FAMILIES["gap"]], **options).content
 
 
 class TestMeasurement:
@@ -356,7 +356,7 @@ class TestMeasurement:
 
     def test_progress_ends_at_its_total(self, runs):
         seen = []
-        difficulty.measure(
+        difficulty.measure_difficulty(
             load_policy(runs / "final"), [FAMILIES["flat"]], 4, 1, None, 1, lambda i, n: seen.append((i, n))
         )
         assert seen == sorted(seen)

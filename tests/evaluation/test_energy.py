@@ -11,7 +11,7 @@ from arrive.commands.results import effort_of, keep_longer
 from arrive.config import override
 from arrive.errors import ArriveError
 from arrive.evaluation import walking
-from arrive.evaluation.energy import GRAVITY, check_arguments, energy_content, row, walk
+from arrive.evaluation.energy import GRAVITY, check_energy_arguments, energy_content, row, walk
 from arrive.evaluation.estimate import Z, mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.walking import Heading, check_command, constant_command, walking_env
@@ -191,7 +191,7 @@ class TestCommand:
 @pytest.mark.parametrize("bad", [((), 10, 10.0), ((0.0,), 10, 10.0), ((1.0,), 1, 10.0), ((1.0,), 10, float("nan"))])
 def test_nothing_to_measure_is_an_error(bad):
     with pytest.raises(ArriveError):
-        check_arguments(*bad)
+        check_energy_arguments(*bad)
 
 
 def a_row(told: float, **figures) -> dict:

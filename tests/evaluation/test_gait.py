@@ -5,7 +5,14 @@ import pytest
 
 from arrive.errors import ArriveError
 from arrive.evaluation.footfalls import circular, footfalls, gait_name, groups_of, hildebrand, steady
-from arrive.evaluation.gait import Record, check_arguments, describe_gait, foot_corners, foot_labels, gait_content
+from arrive.evaluation.gait import (
+    GaitRecording,
+    check_gait_arguments,
+    describe_gait,
+    foot_corners,
+    foot_labels,
+    gait_content,
+)
 from arrive.evaluation.walking import Heading
 from arrive.report.figure import svg_text
 from arrive.report.gait_chart import gait_figure, stretches
@@ -113,7 +120,7 @@ def test_means_on_the_circle():
     assert groups_of(np.array([0.95, 0.05, 0.5])) == [[0, 1], [2]]
 
 
-def a_record(robots: int = 4) -> Record:
+def a_record(robots: int = 4) -> GaitRecording:
     """Robots that trot at 1 m/s towards 45 degrees left of their heading; the last one stands, the one before fell."""
     stands = np.stack([contacts(GAITS["trot"], jitter=0.02, seed=i) for i in range(robots)], axis=1)
     steps = len(stands)
@@ -124,7 +131,7 @@ def a_record(robots: int = 4) -> Record:
     height = np.repeat(0.5 + 0.02 * np.sqrt(2.0) * np.sin(np.arange(steps) * DT * 2 * np.pi / 0.25)[:, None], robots, 1)
     upright = np.ones(robots, dtype=bool)
     upright[-2] = False
-    return Record(stands, velocity, np.full((steps, robots), 0.3), height, upright)
+    return GaitRecording(stands, velocity, np.full((steps, robots), 0.3), height, upright)
 
 
 def test_a_row_describes_the_robots_that_walk():
@@ -165,4 +172,4 @@ def test_the_figure_names_the_gait():
 @pytest.mark.parametrize("bad", [([], 8, 6.0), ([Heading(1.0)], 1, 6.0), ([Heading(1.0)], 8, 0.5)])
 def test_nothing_to_look_at_is_an_error(bad):
     with pytest.raises(ArriveError):
-        check_arguments(*bad)
+        check_gait_arguments(*bad)

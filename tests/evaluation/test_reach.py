@@ -70,7 +70,7 @@ class TestTargets:
 
     def test_each_robot_gets_the_target_of_its_cell(self):
         cells = [Cell(get_family("flat"), None, 0.0, target) for target in ((1.0, 0.0), (0.0, -2.0))]
-        setting = arrival.Setting("evaluation", replace(TRIAL, duration_s=0.1), randomised, 1, record=False)
+        setting = arrival.Conditions("evaluation", replace(TRIAL, duration_s=0.1), randomised, 1, record=False)
         answer = evaluate(standing(), cells, 3, 1, 1, setting=setting)
         targets = torch.cat([part.target_w for part in answer.played])[:, :2]
         assert targets.tolist() == [[1.0, 0.0]] * 3 + [[0.0, -2.0]] * 3
@@ -129,7 +129,7 @@ class TestMeasurement:
     def test_robots_that_stand_arrive_where_the_target_is_near_and_wait_there(self):
         config = override(CONFIG, ("task.arrival_radius=1",))
         told = []
-        content = reach.measure(
+        content = reach.measure_reach(
             standing(config), [Ground(get_family("flat"), 0.0)], SHORT, 4, 1, 1, lambda *counts: told.append(counts)
         )
         assert content == json.loads(json.dumps(content))
@@ -146,7 +146,9 @@ class TestMeasurement:
         assert told[-1][0] == told[-1][1]
 
     def test_a_place_in_the_hole_is_said(self):
-        content = reach.measure(standing(), [ground_of("gap=0.4")], ReachGrid((1.6, 4.0), (0.0,), (0.1,)), 1, 1, 1)
+        content = reach.measure_reach(
+            standing(), [ground_of("gap=0.4")], ReachGrid((1.6, 4.0), (0.0,), (0.1,)), 1, 1, 1
+        )
         entry = content["families"]["gap"]
         assert [row.get("stood_at_m") for row in entry["distances"]] == [pytest.approx(2.25, abs=0.1), None]
         head, rows = distance_table(entry)

@@ -13,7 +13,7 @@ from PIL import Image
 from arrive.actuation.clip import TorqueClip
 from arrive.actuation.fit import Fit
 from arrive.actuation.motor import Motor
-from arrive.actuation.responses import Drive, frequency_response, loaded_step, locked_step, torque_at_speed
+from arrive.actuation.responses import DriveModel, frequency_response, loaded_step, locked_step, torque_at_speed
 from arrive.colors import COLORS
 from arrive.files import whole
 
@@ -55,7 +55,7 @@ def draw_fit(path: Path, fit: Fit) -> None:
     _save(figure, path)
 
 
-def draw_responses(path: Path, drives: Sequence[Drive], motor: Motor, inertia: float) -> None:
+def draw_responses(path: Path, drives: Sequence[DriveModel], motor: Motor, inertia: float) -> None:
     """Step and frequency response and the torque-speed plane of several drives side by side.
 
     Args:
@@ -91,14 +91,14 @@ def draw_responses(path: Path, drives: Sequence[Drive], motor: Motor, inertia: f
     _save(figure, path)
 
 
-def _draw_frequencies(gain: Axes, phase: Axes, drive: Drive, style: dict[str, Any]) -> None:
+def _draw_frequencies(gain: Axes, phase: Axes, drive: DriveModel, style: dict[str, Any]) -> None:
     frequencies = np.geomspace(0.5, min(50.0, 0.4 / drive.period_s), 30)
     answer = frequency_response(drive, frequencies, SINE_RAD)
     gain.plot(frequencies, np.abs(answer), **style)
     phase.plot(frequencies, np.degrees(np.unwrap(np.angle(answer))), **style)
 
 
-def _draw_plane(panel: Axes, drive: Drive, motor: Motor, color: str) -> None:
+def _draw_plane(panel: Axes, drive: DriveModel, motor: Motor, color: str) -> None:
     """Torque over speed for some position errors, before and after the clip, in what the clip allows."""
     speeds = np.linspace(-1.3 * motor.no_load_speed, 1.3 * motor.no_load_speed, 53)
     lowest, highest = TorqueClip([motor], drive.clip).limits(speeds)

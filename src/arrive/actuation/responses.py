@@ -18,7 +18,7 @@ CYCLES, LEAST_S = 3, 1.0
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveModel:
     """A motor to look at: what it would give without limits, how often, and what then cuts it."""
 
     name: str
@@ -28,17 +28,17 @@ class Drive:
     clip: MotorClip
 
 
-def network_drive(name: str, network: ActuatorNetwork, clip: MotorClip) -> Drive:
+def network_drive(name: str, network: ActuatorNetwork, clip: MotorClip) -> DriveModel:
     """A network with the clip of `physics.motor_clip`."""
-    return Drive(name, lambda joints: make_runtime(network, joints).step, network.period_s, clip)
+    return DriveModel(name, lambda joints: make_runtime(network, joints).step, network.period_s, clip)
 
 
-def pd_drive(name: str, motor: Motor, period_s: float, clip: MotorClip) -> Drive:
+def pd_drive(name: str, motor: Motor, period_s: float, clip: MotorClip) -> DriveModel:
     """The PD law of a robot's motor: `dc` with the clip `affine`, `ideal` with `constant`."""
-    return Drive(name, lambda joints: motor.asks, period_s, clip)
+    return DriveModel(name, lambda joints: motor.asks, period_s, clip)
 
 
-def locked_step(drive: Drive, motor: Motor, step_rad: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+def locked_step(drive: DriveModel, motor: Motor, step_rad: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Torque of a joint that cannot move after its target has jumped.
 
     Returns:
@@ -50,7 +50,7 @@ def locked_step(drive: Drive, motor: Motor, step_rad: float, seconds: float) -> 
 
 
 def loaded_step(
-    drive: Drive, motor: Motor, step_rad: float, inertia: float, seconds: float
+    drive: DriveModel, motor: Motor, step_rad: float, inertia: float, seconds: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position of a joint that turns a load after its target has jumped, as a simulation steps it.
 
@@ -69,7 +69,7 @@ def loaded_step(
     return np.arange(len(path)) * drive.period_s, np.array(path)
 
 
-def frequency_response(drive: Drive, frequencies_hz: np.ndarray, amplitude_rad: float) -> np.ndarray:
+def frequency_response(drive: DriveModel, frequencies_hz: np.ndarray, amplitude_rad: float) -> np.ndarray:
     """Torque of a joint that cannot move for a sine of its target, before the clip.
 
     Args:
@@ -96,7 +96,7 @@ def frequency_response(drive: Drive, frequencies_hz: np.ndarray, amplitude_rad: 
 
 
 def torque_at_speed(
-    drive: Drive, motor: Motor, error_rad: float, speeds: np.ndarray, seconds: float = 0.5
+    drive: DriveModel, motor: Motor, error_rad: float, speeds: np.ndarray, seconds: float = 0.5
 ) -> tuple[np.ndarray, np.ndarray]:
     """Torque at a constant speed with a constant position error, once it has settled.
 
@@ -109,7 +109,7 @@ def torque_at_speed(
     return torque, _clipped(drive, motor, torque, speeds)
 
 
-def _clipped(drive: Drive, motor: Motor, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
+def _clipped(drive: DriveModel, motor: Motor, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
     torque = np.array(torque, dtype=np.float64)
     TorqueClip([motor], drive.clip).cut(torque, speed)
     return torque

@@ -67,7 +67,7 @@ def resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def measure(path: str, steps: int) -> dict[str, Any]:
+def measure_control_loop(path: str, steps: int) -> dict[str, Any]:
     """Time `steps` control steps of the policy in an exported file, one by one."""
     controller = Controller.load(path)
     walk, period = Walk(controller), controller.policy.period_s
@@ -96,4 +96,4 @@ def measure(path: str, steps: int) -> dict[str, Any]:
 if __name__ == "__main__":
     # One core, as on a robot that has others for other things.
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))))
+    print(json.dumps(measure_control_loop(sys.argv[1], int(sys.argv[2]))))

@@ -86,7 +86,7 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
     from tensordict import TensorDict
 
     from arrive.config import check, override
-    from arrive.deployment.export import describe, export_policy
+    from arrive.deployment.export import export_policy, policy_sections
     from arrive.env import POLICY
     from arrive.learning.policy import Policy
     from arrive.learning.ppo import make_actor
@@ -94,7 +94,7 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
 
     config = override(robust(), (f"ppo.hidden={list(hidden)}",))
     check(config)
-    content = describe(config)
+    content = policy_sections(config)
     sample = TensorDict({POLICY: torch.zeros(1, content["observation"][-1]["stop"])}, batch_size=[1])
     with torch.random.fork_rng():
         torch.manual_seed(seed)

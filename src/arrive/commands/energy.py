@@ -15,7 +15,7 @@ from arrive.commands.policies import read_policy
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
-from arrive.evaluation.energy import check_arguments, energy_content, measure_energy
+from arrive.evaluation.energy import check_energy_arguments, energy_content, measure_energy
 from arrive.evaluation.walking import check_command
 from arrive.files import whole
 from arrive.learning.policy import Policy
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def energy(command: Energy) -> None:
     """Let policies walk at each speed, print the energy used, and write the JSON file and figure 5."""
-    check_arguments(command.speeds, command.robots, command.distance)
+    check_energy_arguments(command.speeds, command.robots, command.distance)
     # As in `eval`: small networks gain nothing from torch's threads.
     threads = use_threads(command.threads)
     torch.set_num_threads(1)

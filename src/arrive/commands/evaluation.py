@@ -18,11 +18,11 @@ from arrive.commands.threads import use_threads
 from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation import difficulty
-from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, cells_of, choose_cells
+from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cells_of, choose_cells
 from arrive.evaluation.arrival import evaluate as evaluate_policy
+from arrive.evaluation.difficulty import difficulty_cells
 from arrive.evaluation.episode import Episode
-from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved
-from arrive.evaluation.reach import measure as measure_reach
+from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved, measure_reach
 from arrive.learning.policy import Policy
 from arrive.physics.device import choose_device, describe_device
 from arrive.policies import CONFIG_NAME, DIFFICULTY_NAME, find_policy
@@ -83,7 +83,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
             command.seed,
             threads,
             lambda i, n: bar.update(steps, completed=i, total=n),
-            Setting(command.layout or "training"),
+            Conditions(command.layout or "training"),
         )
     _print_results(answer.results)
     for family, _ in chosen:
@@ -104,13 +104,11 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     # A single value does not show the hardest solved terrain, so it is not stored as that result.
     out = command.json or (None if one else folder / DIFFICULTY_NAME)
     if out is not None:
-        rows = sum(
-            1 if family.name in one else len(difficulty.cells_of(family, command.levels)) for family, _ in chosen
-        )
+        rows = sum(1 if family.name in one else len(difficulty_cells(family, command.levels)) for family, _ in chosen)
         keep_longer(out, rows * command.episodes, command.force)
     with Progress() as bar:
         steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per level", total=None)
-        answer = difficulty.measure(
+        answer = difficulty.measure_difficulty(
             policy,
             [family for family, _ in chosen],
             command.episodes,

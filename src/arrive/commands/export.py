@@ -29,6 +29,6 @@ def export(command: Export) -> None:
 def verify_file(command: Verify) -> None:
     """Check an exported policy and print a description."""
     need("onnxruntime")
-    from arrive.deployment.verify import describe, verify
+    from arrive.deployment.verify import file_summary, verify
 
-    print(describe(verify(command.file)))
+    print(file_summary(verify(command.file)))

@@ -13,7 +13,7 @@ from arrive.commands.energy import load_policies, shown_on, with_interval
 from arrive.commands.files import write_json
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
-from arrive.evaluation.gait import check_arguments, gait_content, measure_gait
+from arrive.evaluation.gait import check_gait_arguments, gait_content, measure_gait
 from arrive.evaluation.walking import Heading, check_command
 from arrive.files import whole
 from arrive.report.gait_chart import gait_figure
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def gait(command: Gait) -> None:
     """Let policies walk steadily, print their gaits, and write the JSON file and figure 6."""
     commands = [Heading(speed, direction) for speed in command.speeds for direction in command.directions]
-    check_arguments(commands, command.robots, command.seconds)
+    check_gait_arguments(commands, command.robots, command.seconds)
     threads = use_threads(command.threads)
     torch.set_num_threads(1)
     policies = load_policies((command.policy, *command.others))

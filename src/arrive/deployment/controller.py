@@ -8,13 +8,13 @@ import numpy as np
 from arrive.deployment.command import JointCommand
 from arrive.deployment.faults import BadInput, Fallen
 from arrive.deployment.goals import Goal, Navigator, Order
-from arrive.deployment.heights import GridHeights, HeightGrid, HeightMap, PointCloud
+from arrive.deployment.heights import GridHeights, HeightMap, HeightSampler, PointCloud
 from arrive.deployment.inputs import Frame, Sensors, frame_of
 from arrive.deployment.log import ControlLog
 from arrive.deployment.policy_file import PolicyFile, read_policy_file
 from arrive.deployment.rotation import heading, matrix
 from arrive.deployment.safety import DEFAULT, Limits, Safety
-from arrive.deployment.terms import COMPUTED, Moment, check_terms
+from arrive.deployment.terms import COMPUTED, Moment, check_observed_terms
 from arrive.deployment.watchdog import Watchdog
 
 LARGEST_OBSERVATION = 100.0
@@ -43,13 +43,13 @@ class Controller:
         Raises:
             ArriveError: the policy needs an observation that this controller cannot provide.
         """
-        check_terms(policy)
+        check_observed_terms(policy)
         self.policy, self.safety, self.log = policy, safety, log
         robot = policy.robot
         self._default = np.array(robot.default_joint_pos_rad)
         self._scale = np.concatenate([np.full(term.stop - term.start, term.scale) for term in policy.terms])
         self._terms = [COMPUTED[term.name].compute for term in policy.terms]
-        self._grid = HeightGrid(policy.grid)
+        self._grid = HeightSampler(policy.grid)
         self._limits = Limits(robot)
         self._navigator = Navigator(policy.task)
         self._watchdog = Watchdog(robot, len(self._grid.points), policy.period_s, safety)

@@ -41,7 +41,7 @@ def export_policy(policy: Policy, out: Path) -> None:
         ArriveError: the policy was trained on another observation than this version's, its networks are of an unknown
             kind, its values are implausible, or the file cannot be written.
     """
-    sections = describe(policy.config)
+    sections = policy_sections(policy.config)
     check_schema(policy.schema, sections["observation"], policy.path)
     sections |= {
         "format": FORMAT,
@@ -67,7 +67,7 @@ def compare_with_this_version(file: PolicyFile) -> None:
         config = saved_config(file.meta["training"]["config"], file.path)
     except (KeyError, TypeError, AttributeError) as error:
         raise ArriveError(f"the metadata of {file.path} is damaged: {error!r}. Export the policy again.") from error
-    for section, expected in describe(config).items():
+    for section, expected in policy_sections(config).items():
         _compare(file.path, section, file.meta[section], expected)
 
 
@@ -92,7 +92,7 @@ def _same_point(found: Any, expected: Any) -> bool:
         return False
 
 
-def describe(config: Config) -> dict[str, Any]:
+def policy_sections(config: Config) -> dict[str, Any]:
     """The sections of the metadata that follow from the configuration and this version of arrive."""
     robot, heights = get_robot(config.robot), config.observation.heights
     # The format requires targets. For a task without targets, they are those of the paper.

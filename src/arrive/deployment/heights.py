@@ -46,7 +46,7 @@ class PointCloud:
     """Time of the newest point [s]."""
 
 
-class HeightGrid:
+class HeightSampler:
     """Samples ground heights at the network's grid points, and fills in unseen ones.
 
     An unseen point takes the height of the nearest seen grid point within `FILL_RADIUS`. If there is none, it takes the

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from arrive.deployment.goals import Goal, Joystick, Target, WayPoints, number
-from arrive.deployment.heights import GridHeights, HeightGrid, HeightMap, PointCloud
+from arrive.deployment.heights import GridHeights, HeightMap, HeightSampler, PointCloud
 from arrive.deployment.rotation import heading
 
 NOTHING = np.zeros(0)
@@ -70,7 +70,7 @@ def numbers(value: Any) -> np.ndarray:
         return NOTHING
 
 
-def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightGrid) -> Frame:
+def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightSampler) -> Frame:
     """Convert the arguments of a step into a frame. This never raises because of the arguments."""
     values = {name: numbers(_attribute(sensors, name)) for name in ARRAYS[:-1]}
     heights, mistake = NOTHING, _swapped(sensors, goal, terrain)
@@ -119,7 +119,7 @@ def _swapped(sensors: Any, goal: Any, terrain: Any) -> str:
     return ""
 
 
-def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightGrid) -> tuple[np.ndarray, str]:
+def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightSampler) -> tuple[np.ndarray, str]:
     """Heights at the grid's points, and a message about faulty arguments."""
     kind = type(terrain)
     if issubclass(kind, GridHeights):

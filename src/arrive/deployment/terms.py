@@ -79,7 +79,7 @@ def register_computed(name: str, term: ObservedTerm) -> None:
     add("observation of the controller", COMPUTED, name, term)
 
 
-def check_terms(policy: PolicyFile) -> None:
+def check_observed_terms(policy: PolicyFile) -> None:
     """Check that the controller knows every term of the network, with the size, unit and frame in the file.
 
     Raises:

@@ -36,7 +36,7 @@ def verify(path: Path | str) -> PolicyFile:
     return file
 
 
-def describe(file: PolicyFile) -> str:
+def file_summary(file: PolicyFile) -> str:
     """One line about a valid file."""
     compared = "" if has_training() else "; its robot and task were not compared, which needs the training installation"
     return (
@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> None:
         print("usage: arrive verify FILE", file=sys.stderr)
         sys.exit(2)
     try:
-        print(describe(verify(arguments[0])))
+        print(file_summary(verify(arguments[0])))
     except ArriveError as error:
         print(f"arrive: {error}", file=sys.stderr)
         sys.exit(1)

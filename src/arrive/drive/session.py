@@ -25,7 +25,7 @@ class Controls(Protocol):
 
 
 @dataclass(frozen=True)
-class Moment:
+class DriveSample:
     """One control step of a drive."""
 
     time_s: float
@@ -63,21 +63,21 @@ class DriveStatistics:
     late_s: float = 0.0
     """Real time lost because steps took too long [s]."""
 
-    def add(self, moment: Moment, dt: float) -> None:
+    def add(self, sample: DriveSample, dt: float) -> None:
         """Add a step of `dt` [s]."""
-        self.time_s, self.falls = moment.time_s, self.falls + moment.fell
-        if moment.mode == "joystick":
+        self.time_s, self.falls = sample.time_s, self.falls + sample.fell
+        if sample.mode == "joystick":
             self.driven_s += dt
-            self.commanded_m += moment.commanded_speed * dt
-            self.along_m += moment.along * dt
+            self.commanded_m += sample.commanded_speed * dt
+            self.along_m += sample.along * dt
 
 
-def advance(driver: Driver, stick: Joystick) -> Moment:
+def advance(driver: Driver, stick: Joystick) -> DriveSample:
     """Make one control step with a stick command. A robot that fails is put back to the start."""
     yaw = driver.robot.yaw
     step = driver.step(stick)
     heading = yaw if stick.heading_rad is None else stick.heading_rad
-    moment = Moment(
+    sample = DriveSample(
         time_s=driver.time_s,
         commanded_speed=stick_speed(driver.controller.policy.task, stick),
         commanded_angle=heading + math.atan2(stick.left, stick.forward),
@@ -88,14 +88,14 @@ def advance(driver: Driver, stick: Joystick) -> Moment:
     )
     if step.failure:
         driver.put_back()
-    return moment
+    return sample
 
 
 def run(
     driver: Driver,
     controls: Controls,
     seconds: float,
-    report: Callable[[Moment, DriveStatistics], None],
+    report: Callable[[DriveSample, DriveStatistics], None],
     real_time: bool,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
@@ -116,9 +116,9 @@ def run(
         while left > 0:
             due = min(left, pace.steps_due(clock()) if real_time else 1)
             for _ in range(int(due)):
-                moment = advance(driver, controls.stick(driver.time_s, driver.robot.yaw))
-                statistics.add(moment, driver.control_dt)
-                report(moment, statistics)
+                sample = advance(driver, controls.stick(driver.time_s, driver.robot.yaw))
+                statistics.add(sample, driver.control_dt)
+                report(sample, statistics)
             left -= due
             statistics.late_s = pace.dropped_s
             if real_time and left > 0:

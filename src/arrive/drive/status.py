@@ -3,7 +3,7 @@
 import math
 import sys
 
-from arrive.drive.session import DriveStatistics, Moment
+from arrive.drive.session import DriveSample, DriveStatistics
 
 LIVE_S, PLAIN_S = 0.1, 5.0
 """Simulated time between lines: on a terminal, where each line replaces the last one, and in a file [s]."""
@@ -19,13 +19,13 @@ class StatusLine:
         self._live = sys.stdout.isatty()
         self._next_s = 0.0
 
-    def report(self, moment: Moment, statistics: DriveStatistics) -> None:
+    def report(self, sample: DriveSample, statistics: DriveStatistics) -> None:
         """Add a step, and print it if it is time."""
-        if moment.time_s < self._next_s and not moment.fell:
+        if sample.time_s < self._next_s and not sample.fell:
             return
-        self._next_s = moment.time_s + (LIVE_S if self._live else PLAIN_S)
+        self._next_s = sample.time_s + (LIVE_S if self._live else PLAIN_S)
         start, end = ("\r\x1b[K", "") if self._live else ("", "\n")
-        print(start + describe(moment, statistics), end=end, flush=True)
+        print(start + drive_status(sample, statistics), end=end, flush=True)
 
     def close(self) -> None:
         """Keep the last line on the terminal."""
@@ -33,16 +33,16 @@ class StatusLine:
             print()
 
 
-def describe(moment: Moment, statistics: DriveStatistics) -> str:
+def drive_status(sample: DriveSample, statistics: DriveStatistics) -> str:
     """One step as a line. The arrow shows the commanded direction relative to the robot's heading."""
     asked = "stop"
-    if moment.commanded_speed:
-        relative = moment.commanded_angle - moment.yaw
+    if sample.commanded_speed:
+        relative = sample.commanded_angle - sample.yaw
         arrow = ARROWS[round(relative / (math.pi / 4)) % 8]
-        asked = f"{arrow} {moment.commanded_speed:.2f} m/s"
-    speed = math.hypot(*moment.velocity_w)
-    reached = f"{moment.along:+.2f} m/s along, {speed:.2f} in all" if moment.commanded_speed else f"{speed:.2f} m/s"
-    return f"{moment.time_s:7.1f} s  {moment.mode:8}  asked {asked:10}  walks {reached}  falls {statistics.falls}"
+        asked = f"{arrow} {sample.commanded_speed:.2f} m/s"
+    speed = math.hypot(*sample.velocity_w)
+    reached = f"{sample.along:+.2f} m/s along, {speed:.2f} in all" if sample.commanded_speed else f"{speed:.2f} m/s"
+    return f"{sample.time_s:7.1f} s  {sample.mode:8}  asked {asked:10}  walks {reached}  falls {statistics.falls}"
 
 
 def summarise(statistics: DriveStatistics) -> str:

@@ -88,7 +88,7 @@ class CellResult:
 
 
 @dataclass(frozen=True)
-class Setting:
+class Conditions:
     """What an evaluation changes about the episodes of training."""
 
     layout: Layout = "training"
@@ -171,7 +171,7 @@ def evaluate(
     seed: int,
     threads: int = 0,
     progress: Progress = lambda done, total: None,
-    setting: Setting = Setting(),
+    setting: Conditions = Conditions(),
     pilot: Callable[[ArriveEnv], Pilot] | None = None,
 ) -> Arrival:
     """Measure the success rate on terrain that the policy was not trained on.
@@ -212,7 +212,7 @@ def _part_seed(seed: int, index: int) -> int:
 
 
 def _environment(
-    policy: Policy, cells: Sequence[Cell], part: Tensor, seed: int, threads: int, setting: Setting
+    policy: Policy, cells: Sequence[Cell], part: Tensor, seed: int, threads: int, setting: Conditions
 ) -> ArriveEnv:
     """Robots that stay on their assigned cells, on the policy's device."""
     config = policy.config

@@ -61,7 +61,7 @@ class ControlledRobots:
         state = self._env.state
         pos, quat = state.base_pos_w.double(), state.base_quat_w.double()
         value = {name: observation[:, where] / scale for name, (where, scale) in self._slices.items()}
-        tilted = tilt(quat, state.gravity_b.double(), value["gravity"])
+        tilted = with_measured_gravity(quat, state.gravity_b.double(), value["gravity"])
         way_b = rotate_inverse(quat, self._env.task.command.target_w.double() - pos)
         self._targets_w = pos + rotate(tilted, way_b)
         self._heights_w = (pos[:, 2:] - self._height_offset - value["heights"]).numpy()
@@ -75,7 +75,7 @@ class ControlledRobots:
         }
 
 
-def tilt(quat: Tensor, gravity_b: Tensor, measured_b: Tensor) -> Tensor:
+def with_measured_gravity(quat: Tensor, gravity_b: Tensor, measured_b: Tensor) -> Tensor:
     """(n, 4) the nearest orientations in which gravity has the measured direction.
 
     Args:
@@ -155,7 +155,7 @@ def check_pair(policy: Policy, file: PolicyFile) -> None:
         raise ArriveError(f"{file.path} is not the export of {policy.path}: their actions differ")
 
 
-def describe(comparison: Comparison) -> str:
+def comparison_summary(comparison: Comparison) -> str:
     """One cell in a line."""
     network, controller = comparison.network, comparison.controller
     low, high = network.interval

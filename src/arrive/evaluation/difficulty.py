@@ -6,7 +6,7 @@ from typing import Any
 
 from arrive.config import RandomisationConfig, to_dict
 from arrive.errors import ArriveError
-from arrive.evaluation.arrival import Arrival, Cell, CellResult, Setting, evaluate
+from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, evaluate
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.playing import Progress, in_part
 from arrive.evaluation.usage import usage_of
@@ -66,7 +66,7 @@ class Measurement:
     """One recorded episode per family: the hardest level whose first robot succeeded, or else the easiest."""
 
 
-def cells_of(family: Family, levels: int | None) -> list[Cell]:
+def difficulty_cells(family: Family, levels: int | None) -> list[Cell]:
     """The cells of a family's table of levels, or of evenly spaced ones between its easiest and hardest parameter.
 
     Raises:
@@ -89,7 +89,7 @@ def randomised(config: RandomisationConfig) -> RandomisationConfig:
     )
 
 
-def measure(
+def measure_difficulty(
     policy: Policy,
     families: Sequence[Family],
     episodes: int,
@@ -108,10 +108,10 @@ def measure(
         chosen: the only value that is measured of some families, by name.
     """
     chosen = chosen or {}
-    setting = Setting("evaluation", TRIAL, randomised, VARIANTS)
+    setting = Conditions("evaluation", TRIAL, randomised, VARIANTS)
     answers: dict[str, Arrival] = {}
     for index, family in enumerate(families):
-        cells = [chosen[family.name]] if family.name in chosen else cells_of(family, levels)
+        cells = [chosen[family.name]] if family.name in chosen else difficulty_cells(family, levels)
         answers[family.name] = evaluate(
             policy, cells, episodes, seed, threads, in_part(progress, index, len(families)), setting
         )
@@ -121,7 +121,7 @@ def measure(
         results=results,
         content={
             "families": {name: family_content(rows) for name, rows in results.items()},
-            "policy": describe(policy) | {"usage": usage},
+            "policy": policy_content(policy) | {"usage": usage},
             "protocol": protocol_content(policy, episodes, seed, levels),
             "commit": commit(),
         },
@@ -171,7 +171,7 @@ def origin_of(policy: Policy) -> dict[str, Any]:
     }
 
 
-def describe(policy: Policy) -> dict[str, Any]:
+def policy_content(policy: Policy) -> dict[str, Any]:
     """The same with all that it was trained with."""
     config = policy.config
     return origin_of(policy) | {"episode_s": config.task.episode_s, "config": to_dict(config)}
@@ -204,7 +204,7 @@ def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | Non
 
 
 def check_levels(levels: int | None) -> None:
-    """Refuse what would measure nothing.
+    """Refuse a number of levels that is out of range.
 
     Raises:
         ArriveError: fewer than one level.

@@ -81,7 +81,7 @@ def measure_energy(
     Raises:
         ArriveError: nothing to measure, or a policy whose task takes no constant command.
     """
-    check_arguments(speeds, robots, way_m)
+    check_energy_arguments(speeds, robots, way_m)
     commands = [Heading(speed) for speed in speeds]
     env = walking_env(policy, commands, robots, way_m / SLOWEST, seed, threads)
     walks = walk(env, policy, meter(env, threads), way_m, progress)
@@ -92,7 +92,7 @@ def measure_energy(
     }
 
 
-def check_arguments(speeds: Sequence[float], robots: int, way_m: float) -> None:
+def check_energy_arguments(speeds: Sequence[float], robots: int, way_m: float) -> None:
     """Refuse what would measure nothing.
 
     Raises:

@@ -30,7 +30,7 @@ SHOWN_S = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class GaitRecording:
     """Steady walking of n robots, as NumPy arrays."""
 
     contact: np.ndarray
@@ -67,7 +67,7 @@ def measure_gait(
     Raises:
         ArriveError: nothing to measure, or a policy whose task takes no such command.
     """
-    check_arguments(commands, robots, seconds)
+    check_gait_arguments(commands, robots, seconds)
     env = walking_env(policy, list(commands), robots, SETTLE_S + seconds, seed, threads)
     record = walk_steadily(env, policy, seconds, progress)
     corners = foot_corners(env.robot)
@@ -82,7 +82,7 @@ def measure_gait(
     }
 
 
-def check_arguments(commands: Sequence[Heading], robots: int, seconds: float) -> None:
+def check_gait_arguments(commands: Sequence[Heading], robots: int, seconds: float) -> None:
     """Refuse what would measure nothing.
 
     Raises:
@@ -101,7 +101,9 @@ def _told(heading: Heading) -> dict[str, float]:
     return {"told_m_s": heading.speed, "direction_deg": heading.direction_deg}
 
 
-def walk_steadily(env: ArriveEnv, pilot: Pilot, seconds: float, progress: Progress = lambda i, n: None) -> Record:
+def walk_steadily(
+    env: ArriveEnv, pilot: Pilot, seconds: float, progress: Progress = lambda i, n: None
+) -> GaitRecording:
     """Let all robots walk for `SETTLE_S`, then write down how they do."""
     settle, steps = (round(time / env.control_dt) for time in (SETTLE_S, seconds))
     upright = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
@@ -121,11 +123,11 @@ def walk_steadily(env: ArriveEnv, pilot: Pilot, seconds: float, progress: Progre
             rows.append([value.cpu().numpy().copy() for value in row])
         progress(step + 1, settle + steps)
     contact, velocity, yaw, height = (np.stack(column) for column in zip(*rows, strict=True))
-    return Record(contact, velocity, yaw, height, upright.cpu().numpy())
+    return GaitRecording(contact, velocity, yaw, height, upright.cpu().numpy())
 
 
-def _part(record: Record, mine: slice) -> Record:
-    return Record(
+def _part(record: GaitRecording, mine: slice) -> GaitRecording:
+    return GaitRecording(
         record.contact[:, mine],
         record.velocity[:, mine],
         record.yaw[:, mine],
@@ -134,7 +136,7 @@ def _part(record: Record, mine: slice) -> Record:
     )
 
 
-def describe_gait(record: Record, corners: np.ndarray, dt: float) -> dict[str, Any]:
+def describe_gait(record: GaitRecording, corners: np.ndarray, dt: float) -> dict[str, Any]:
     """The gait of robots that had the same command, as JSON data.
 
     Means are over the robots that walked and make whole strides; the name is the commonest of theirs. The reference
@@ -200,7 +202,7 @@ def _footfall_means(falls: list[Footfalls], corners: np.ndarray) -> dict[str, An
     }
 
 
-def _motion(record: Record, mine: list[int], frequencies: list[float]) -> dict[str, Any]:
+def _motion(record: GaitRecording, mine: list[int], frequencies: list[float]) -> dict[str, Any]:
     """Strides, direction of travel and what the base does meanwhile."""
     velocity, yaw = record.velocity[:, mine], record.yaw[:, mine]
     way = velocity.mean(0)

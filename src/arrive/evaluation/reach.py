@@ -12,8 +12,8 @@ import torch
 
 from arrive.config import to_dict
 from arrive.errors import ArriveError
-from arrive.evaluation.arrival import Arrival, Cell, Setting, evaluate
-from arrive.evaluation.difficulty import TRIAL, VARIANTS, describe, randomised
+from arrive.evaluation.arrival import Arrival, Cell, Conditions, evaluate
+from arrive.evaluation.difficulty import TRIAL, VARIANTS, policy_content, randomised
 from arrive.evaluation.playing import Progress
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
@@ -136,7 +136,7 @@ def hardest_solved(folder: Path, family: Family, levels: int) -> float:
     return solved_beside(folder).get(family.name, family.value(levels // 2, levels))
 
 
-def measure(
+def measure_reach(
     policy: Policy,
     grounds: Sequence[Ground],
     grid: ReachGrid,
@@ -180,7 +180,7 @@ def measure(
     protocol = _protocol(policy, grid, episodes, seed)
     return {
         "families": families,
-        "policy": describe(policy),
+        "policy": policy_content(policy),
         "protocol": protocol | {"effort": effort(grid, episodes, len(grounds))},
         "commit": commit(),
     }
@@ -196,7 +196,7 @@ def _run(
 ) -> Arrival:
     trial = replace(TRIAL, duration_s=batch.time_s, wait_s=batch.wait_s, hold_s=hold_time(check_policy(policy)))
     cells = [Cell(ground.family, None, ground.value, _in_tile(*target)) for target in batch.targets]
-    setting = Setting(layout, trial, randomised, VARIANTS, record=False)
+    setting = Conditions(layout, trial, randomised, VARIANTS, record=False)
     return evaluate(policy, cells, batch.episodes, seed, threads, progress, setting)
 
 

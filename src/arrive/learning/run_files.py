@@ -37,7 +37,7 @@ def save_run(state: TrainingState, snapshot: Snapshot, config: Config, folder: P
 
 
 @dataclass(frozen=True)
-class Progress:
+class RunProgress:
     """Progress of a run, from its checkpoint."""
 
     iteration: int = 0
@@ -45,7 +45,7 @@ class Progress:
     minutes: float = 0.0
 
 
-def read_progress(folder: Path) -> Progress:
+def read_progress(folder: Path) -> RunProgress:
     """Read the progress of a run from its checkpoint; zero if there is none.
 
     Raises:
@@ -53,10 +53,10 @@ def read_progress(folder: Path) -> Progress:
     """
     path = folder / CHECKPOINT_NAME
     if not path.exists():
-        return Progress()
+        return RunProgress()
     origin, state = load_checkpoint(path)
     try:
-        return Progress(origin.iteration, origin.samples, float(state["elapsed_s"]) / 60.0)
+        return RunProgress(origin.iteration, origin.samples, float(state["elapsed_s"]) / 60.0)
     except (KeyError, TypeError, ValueError) as error:
         raise ArriveError(f"{path} does not contain its training time; it was not written by arrive") from error
 

@@ -31,7 +31,7 @@ class TileSet:
 
 
 @dataclass(frozen=True)
-class Spread:
+class WorldRandomisation:
     """Differences between worlds. They belong to worlds, because a robot gets a random world at each reset."""
 
     friction: tuple[float, float]
@@ -74,7 +74,7 @@ class WorldPool:
 def build_pool(
     robot: Robot,
     tile_set: TileSet,
-    spread: Spread,
+    spread: WorldRandomisation,
     physics: PhysicsConfig,
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,

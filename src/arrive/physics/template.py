@@ -17,7 +17,7 @@ from arrive.robots.robot import Robot
 from arrive.terrain.rasterise import assemble
 from arrive.terrain.tile import MAX_GEOMS
 
-FIELD_BASE = 0.1
+THIN_FIELD_BASE = 0.1
 """Thickness of height fields below their lowest point [m]. With 1 m, float32 collision fails more often."""
 NOT_COMPARED = (
     "bvh_",  # MuJoCo's own search trees; the GPU engine has another broad phase
@@ -43,7 +43,7 @@ def build_template(robot: Robot, worlds: Sequence[mujoco.MjModel], config: Physi
     for index, world in enumerate(fields):
         spec.add_hfield(
             name=f"field_{index}",
-            size=(*world.hfield_size[0, :3], FIELD_BASE),
+            size=(*world.hfield_size[0, :3], THIN_FIELD_BASE),
             nrow=int(world.hfield_nrow[0]),
             ncol=int(world.hfield_ncol[0]),
             userdata=world.hfield_data,

@@ -23,7 +23,7 @@ UNLIMITED = float(np.finfo(np.float32).max)
 
 
 @wp.struct
-class Drive:
+class MotorData:
     """What every joint of every robot reads and writes; limits are (num_joints,)."""
 
     qpos: wp.array2d[float]
@@ -38,12 +38,12 @@ class Drive:
 
 
 @wp.func
-def _error(drive: Drive, env: int, joint: int):
+def _error(drive: MotorData, env: int, joint: int):
     return drive.target[env, joint] - drive.qpos[env, 7 + joint]
 
 
 @wp.func
-def _apply(drive: Drive, env: int, joint: int, torque: float):
+def _apply(drive: MotorData, env: int, joint: int, torque: float):
     """Cut a torque at the motor's limits and hand it to the next physics step."""
     effort = drive.effort[joint]
     back = drive.slope[joint] * drive.qvel[env, 6 + joint]
@@ -59,7 +59,7 @@ def _sigmoid(half: float):
 
 
 @wp.kernel
-def _lstm(drive: Drive, hidden: wp.array3d[float], cell: wp.array3d[float], fresh: wp.array3d[float]):
+def _lstm(drive: MotorData, hidden: wp.array3d[float], cell: wp.array3d[float], fresh: wp.array3d[float]):
     env, joint = wp.tid()
     at, before, base, size = int(0), int(0), int(0), int(2)
     for layer in range(drive.units.shape[0]):
@@ -98,7 +98,7 @@ def _lstm(drive: Drive, hidden: wp.array3d[float], cell: wp.array3d[float], fres
 
 
 @wp.kernel
-def _taps(drive: Drive, history: wp.array4d[float], fresh: wp.array3d[float]):
+def _taps(drive: MotorData, history: wp.array4d[float], fresh: wp.array3d[float]):
     env, joint = wp.tid()
     depth = history.shape[3]
     for back in range(depth - 1):
@@ -138,7 +138,7 @@ class WarpMotors:
         recurrent = network.architecture == "lstm"
         matrices = (lstm_matrices if recurrent else taps_matrices)(network)
         self._shape = data.ctrl.shape
-        self._drive = Drive()
+        self._drive = MotorData()
         self._drive.qpos, self._drive.qvel, self._drive.ctrl = data.qpos, data.qvel, data.ctrl
         self._drive.target = wp.zeros(self._shape, dtype=float)
         self._drive.weights = wp.array(np.concatenate([matrix.ravel() for matrix in matrices]), dtype=float)

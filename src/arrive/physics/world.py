@@ -19,7 +19,7 @@ CONTACTS = "contacts"
 
 
 @dataclass(frozen=True)
-class Sensors:
+class SensorLayout:
     """Positions of the sensors' readings in `sensordata`, the same for every world of a robot."""
 
     foot_velocity: slice
@@ -32,12 +32,12 @@ class Sensors:
     """Contacts of each foot body."""
 
 
-def sensor_layout(robot: Robot) -> Sensors:
+def sensor_layout(robot: Robot) -> SensorLayout:
     """The layout that `add_sensors` produces."""
     vectors, crash, collision = 3 * len(robot.foot_sites), len(robot.crash_bodies), len(robot.collision_bodies)
     sizes = (vectors, crash, collision, len(robot.foot_bodies))
     starts = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
-    return Sensors(*(slice(a, b) for a, b in itertools.pairwise(starts)))
+    return SensorLayout(*(slice(a, b) for a, b in itertools.pairwise(starts)))
 
 
 def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:

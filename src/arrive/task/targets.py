@@ -20,7 +20,7 @@ REACH = RASTER_HALF - EDGE
 """Largest distance of targets from the tile's origin along an axis [m]."""
 
 
-class Spread(Protocol):
+class TargetConfig(Protocol):
     """The fields of a task's configuration that say which targets to draw."""
 
     @property
@@ -37,7 +37,7 @@ class Spread(Protocol):
 
 
 def sample_targets(
-    rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spread, generator: torch.Generator
+    rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TargetConfig, generator: torch.Generator
 ) -> Tensor:
     """Draw a valid target for each robot (paper, section Episode Process).
 
@@ -83,7 +83,7 @@ def _on_valid_ground(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tens
     return inside & look_up(rasters.target_valid, tile_ids, points)
 
 
-def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Spread) -> Tensor:
+def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: TargetConfig) -> Tensor:
     """(n, 2) the first valid point of a fine polar sweep, for robots whose candidates all failed."""
     device = start_w.device
     radius, angle = torch.meshgrid(
