@@ -261,3 +261,9 @@ def test_every_field_says_what_it_is(name):
         assert row.meaning or row.path.count(".") > 2, row.path
         if isinstance(row.value, float | int) and not isinstance(row.value, bool):
             assert row.range, row.path
+
+
+def test_an_integer_that_is_no_float_is_out_of_range():
+    config = override(get_preset("paper"), ("ppo.gamma=1" + "0" * 400,))
+    with pytest.raises(ArriveError, match=r"ppo\.gamma must be 0 to 1, not 1e\+300"):
+        check(config)

@@ -313,7 +313,8 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     if get_origin(hint) is tuple:
         return _convert_tuple(hint, value, where)
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        # A larger integer is no float, and out of every range.
+        return float(min(max(value, -(10**300)), 10**300))
     if options := get_args(hint):
         if value not in options:
             raise unknown_name(f"value of {where}", str(value), map(str, options))
@@ -328,7 +329,7 @@ def _choose(kinds: dict[str, type], value: Any, where: str) -> Any:
     if not isinstance(value, dict):
         raise ArriveError(f"{where} has fields of its own, it cannot be {value!r}")
     name = value.get("name")
-    if name not in kinds:
+    if not isinstance(name, str) or name not in kinds:
         raise unknown_name(where, str(name), kinds)
     try:
         return from_dict(kinds[name], value, f"{where}.")

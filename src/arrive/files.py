@@ -68,8 +68,8 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 file atomically; see `whole`."""
-    write_bytes(path, text.encode())
+    """Write a UTF-8 file atomically, with what UTF-8 cannot express as escapes; see `whole`."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_json(path: Path, content: Any) -> None:

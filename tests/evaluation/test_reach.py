@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+import small_results
 from arrive.build import build_env
 from arrive.cli import main
 from arrive.commands.results import effort_of, keep_longer
@@ -179,10 +180,10 @@ class TestMeasurement:
     def test_the_ground_is_the_hardest_solved_or_a_middle_one(self, tmp_path):
         gap = get_family("gap")
         assert reach.hardest_solved(tmp_path, gap, 3) == pytest.approx((gap.lowest + gap.highest) / 2)
-        (tmp_path / "difficulty.json").write_text(json.dumps({"families": {"gap": {"max_at_95": 0.3}}}))
+        (tmp_path / "difficulty.json").write_text(json.dumps(small_results.difficulty()))
         assert reach.hardest_solved(tmp_path, gap, 3) == 0.3
         (tmp_path / "difficulty.json").write_text("{}")
-        with pytest.raises(ArriveError, match="it has no families"):
+        with pytest.raises(ArriveError, match=r"difficulty.json holds no result of 'difficulty'"):
             reach.hardest_solved(tmp_path, gap, 3)
 
 

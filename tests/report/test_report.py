@@ -16,32 +16,12 @@ from arrive.report.records import Run
 from arrive.report.statements import energy_statements, gait_statements, stability_statements
 from arrive.report.training_charts import stability_figure, window_figure
 from arrive.report.write import read_results
-
-
-def walked(speed: float, torque_sq: float, half: float = 1.0) -> dict:
-    figures = {name: [1.0, 0.9, 1.1] for name in ("positive_work", "absolute_work", "cost_of_transport", "time_s")}
-    return figures | {
-        "told_m_s": speed,
-        "robots": 50,
-        "finished": 50,
-        "fell": 0,
-        "stood": 0,
-        "torque_sq": [torque_sq, torque_sq - half, torque_sq + half],
-        "speed": [speed, speed - 0.01, speed + 0.01],
-    }
+from small_results import origin, stability, walked, window
 
 
 def energy(**costs: list[tuple[float, float]]) -> dict:
     policies = [
-        {
-            "name": f"walk-{task}",
-            "task": task,
-            "seed": 7,
-            "samples": 20_000_000,
-            "commit": "abcdef123456789",
-            "speeds": [walked(*row) for row in rows],
-        }
-        for task, rows in costs.items()
+        origin(f"walk-{task}", task) | {"speeds": [walked(*row) for row in rows]} for task, rows in costs.items()
     ]
     return energy_content(policies, 50, 100.0, 3)
 
@@ -88,59 +68,6 @@ def test_statements_on_gaits():
         "P_c does not trot": "open",
     }
     assert verdicts(gait_statements(gaits(velocity=["bound"], final=["trot"])))["V trots"] == "fails"
-
-
-def stability() -> dict:
-    def run(variant: str, seed: int, success: float) -> dict:
-        return {
-            "ground": "flat",
-            "variant": variant,
-            "seed": seed,
-            "success": success,
-            "explained_variance": 0.5,
-            "value_loss": 0.1,
-            "curve": {"samples": [0.0, 1e6], "explained_variance": [0.1, 0.5]},
-        }
-
-    return {
-        "runs": [run("ours", 1, 0.95), run("ours", 2, 0.9), run("short", 1, 0.89), run("short", 2, 1.0)],
-        "variants": {"ours": "the paper's three changes", "short": "half the steps", "long": "20 s"},
-        "protocol": {
-            "name": "stability",
-            "preset": "robust",
-            "samples": 5e6,
-            "goal": 0.9,
-            "grounds": ["flat"],
-            "seeds": [1, 2],
-            "episodes": 100,
-        },
-        "command": "python benchmarks/stability.py --samples 5M",
-        "commit": "abc",
-    }
-
-
-def window() -> dict:
-    run = {
-        "window_s": 0.5,
-        "seed": 1,
-        "success": 0.5,
-        "interval": [0.4, 0.6],
-        "arrival_time_s": [5.0, 6.0, 7.0],
-        "path_length_m": [4.0, 5.0, 6.0],
-        "speed_profile": {"time_s": [0.1, 0.3], "mean_m_s": [0.5, 0.6]},
-        "energy": [walked(0.5, 60.0)],
-    }
-    nobody = run | {"window_s": 8.0, "success": 0.0, "interval": [0.0, 0.04], "path_length_m": None, "energy": []}
-    protocol = {
-        "name": "time_window",
-        "preset": "robust",
-        "ground": "gap=0.3",
-        "samples": 1e7,
-        "episodes": 100,
-        "episode_s": 8.0,
-        "seeds": [1],
-    }
-    return {"runs": [run, nobody], "protocol": protocol, "command": "python benchmarks/time_window.py", "commit": "abc"}
 
 
 def test_stability_counts_seeds_that_reach_the_goal():

@@ -20,6 +20,7 @@ from arrive.learning.checkpoint import check_schema
 from arrive.learning.networks import Facing, Network
 from arrive.learning.policy import Policy
 from arrive.policies import DIFFICULTY_NAME
+from arrive.results.read import read_if_there
 from arrive.robots import get_robot
 from arrive.robots.robot import Robot
 from arrive.task.final import FinalConfig, PositionConfig
@@ -231,10 +232,5 @@ def _golden(policy: Policy) -> dict[str, Any]:
 
 def _evaluation(path: Path) -> dict[str, Any] | None:
     """Result of `arrive eval --protocol difficulty`, or None if the run was not evaluated."""
-    if not path.is_file():
-        return None
-    try:
-        content = json.loads(path.read_text())
-        return {name: content[name] for name in ("families", "protocol", "commit")}
-    except (OSError, json.JSONDecodeError, KeyError) as error:
-        raise ArriveError(f"cannot read {path}: {error!r}. Evaluate the run again.") from error
+    content = read_if_there(path, "difficulty")
+    return content and {name: content[name] for name in ("families", "protocol", "commit")}

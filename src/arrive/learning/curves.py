@@ -13,8 +13,8 @@ from matplotlib.gridspec import SubplotSpec
 from arrive.colors import COLORS
 from arrive.files import whole
 from arrive.learning.logs import read_log
+from arrive.policies import CURVES_NAME
 
-CURVES_NAME = "curves.png"
 STYLES = ("-", "--", ":")
 SMALL_COLUMNS = 3
 WIDTH_IN, WIDE_HEIGHT_IN, SMALL_HEIGHT_IN = 12.0, 3.1, 2.2

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 LOG_NAME = "log.csv"
 TENSORBOARD_NAME = "tensorboard"
+PROGRESS = ("progress/samples", "progress/elapsed_s")
+"""Columns without which no curve can be drawn."""
+LARGEST_PROGRESS = 1e15
+LARGEST = 1e39
+"""More than float32 can hold, so that no metric is larger, except infinity."""
 PROJECT = "arrive"
 """Project name on Weights & Biases."""
 
@@ -202,7 +207,18 @@ def read_log(folder: Path) -> dict[str, list[float]]:
     if not path.exists():
         raise ArriveError(f"{folder} has no {LOG_NAME}; is it a run folder?")
     columns, rows = _read_rows(path)
-    return {name: [float(row[name] or "nan") for row in rows] for name in columns}
+    missing = [name for name in PROGRESS if name not in columns]
+    if missing and rows:
+        raise ArriveError(f"{path} has no column {missing[0]}. Restore the file from a copy, or delete it.")
+    log = {name: [float(row[name] or "nan") for row in rows] for name in columns}
+    for name in PROGRESS if rows else ():
+        bad = next((i for i, value in enumerate(log[name]) if not 0.0 <= value <= LARGEST_PROGRESS), None)
+        if bad is not None:
+            raise ArriveError(
+                f"{path}, line {bad + 2}: {name} must be a number from 0 to {LARGEST_PROGRESS:g}, not "
+                f"{log[name][bad]:g}. Restore the file from a copy, or delete it."
+            )
+    return log
 
 
 def _csv_text(columns: list[str], rows: list[Row], header: bool) -> str:
@@ -257,7 +273,9 @@ def _problem(row: Row, cells: int, columns: list[str], last: int) -> str | None:
         return f"iteration {row['iteration']} does not come after {last}"
     for name, value in row.items():
         try:
-            float(value or "nan")
+            number = float(value or "nan")
         except ValueError:
+            number = LARGEST
+        if LARGEST <= abs(number) < math.inf or "_" in value:
             return f"{name} must be a number, not {value!r:.60}"
     return None

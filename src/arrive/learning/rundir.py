@@ -20,6 +20,7 @@ from arrive.learning.logs import LOG_NAME
 from arrive.lock import Lock
 from arrive.plugins import imported, require
 from arrive.policies import CONFIG_NAME, POLICY_NAME, RUNS
+from arrive.results.read import check_result
 
 LOCK_NAME = "run.lock"
 MOTOR_NAME = "motor.safetensors"
@@ -175,14 +176,11 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
     except OSError as error:
         raise ArriveError(f"cannot read {path}: {error.strerror or error}") from error
     content = read_json(path)
-    kinds = {"config": dict, "commit": str, "command": str, "seed": int}
-    for name, kind in kinds.items():
-        if not isinstance(content.get(name), kind):
-            raise ArriveError(f"cannot read {path}: {name} must be {kind.__name__}, not {content.get(name)!r:.60}")
-    if not isinstance(content.get("samples_before", 0), int):
-        raise ArriveError(f"cannot read {path}: samples_before must be a number, not {content['samples_before']!r:.60}")
+    check_result(content, "record", path, "Restore the file from a copy.")
     require_imports(folder)
-    return with_own_motor(saved_config(content["config"], path), folder), content
+    config = saved_config(content["config"], path)
+    # What an older version did not write is filled in for those who read the record.
+    return with_own_motor(config, folder), content | {"config": to_dict(config)}
 
 
 def samples_before(record: dict[str, Any]) -> int:

@@ -17,6 +17,8 @@ CONFIG_NAME = "config.json"
 """What it was trained with, beside it."""
 DIFFICULTY_NAME = "difficulty.json"
 """What `arrive eval --protocol difficulty` found, beside it."""
+CURVES_NAME = "curves.png"
+"""The curves of its training, beside it."""
 RUNS = Path("runs")
 """Where `arrive train` puts new runs."""
 PACKED = Path(__file__).parent / "shipped"

@@ -4,9 +4,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from arrive.errors import ArriveError
-from arrive.files import read_json
 from arrive.policies import DIFFICULTY_NAME
+from arrive.results.read import read_if_there
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, varies
 
@@ -32,23 +31,8 @@ def solved_beside(path: Path) -> dict[str, float]:
         ArriveError: its measurement is damaged.
     """
     run = path if path.is_dir() else path.parent
-    measured = read_measured(run / DIFFICULTY_NAME)
+    measured = read_if_there(run / DIFFICULTY_NAME, "difficulty")
     return {} if measured is None else solved_in(measured)
-
-
-def read_measured(path: Path) -> dict[str, Any] | None:
-    """A result by terrain family beside a policy, or None where there is none.
-
-    Raises:
-        ArriveError: it cannot be read, or is none.
-    """
-    if not path.is_file():
-        return None
-    content = read_json(path)
-    families = content.get("families")
-    if not isinstance(families, dict) or not all(isinstance(entry, dict) for entry in families.values()):
-        raise ArriveError(f"cannot read {path}: it has no families. Measure the policy again.")
-    return content
 
 
 def _within(family: str, value: object) -> bool:

@@ -9,7 +9,7 @@ from arrive.evaluation.arrival import CellResult
 from arrive.evaluation.difficulty import SHARES
 from arrive.evaluation.motion import UNITS
 from arrive.files import write_text
-from arrive.learning.curves import CURVES_NAME
+from arrive.policies import CURVES_NAME
 from arrive.report.reach import direction_table, distance_table, ground_words, protocol_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, Run
 

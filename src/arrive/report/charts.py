@@ -82,7 +82,7 @@ def speed_chart(runs: Sequence[Run], columns: int = COLUMNS, level: int = 0) -> 
         title = name
         for run, color, style in _styled(runs):
             rows = run.difficulty["policy"]["usage"].get(name) if run.difficulty else None
-            if rows and "speed_profile" in rows[level]:
+            if rows and {"speed_profile", "arrival_time_s"} <= rows[level].keys():
                 profile, median = rows[level]["speed_profile"], rows[level]["arrival_time_s"][1]
                 axes.plot(profile["time_s"], profile["mean_m_s"], color=color, ls=style, label=run.label)
                 axes.axvline(median, color=color, linestyle=(0, (1, 2)), linewidth=1.4)

@@ -46,11 +46,12 @@ def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     if content is None:
         return head + missing("Not measured.", command_line("energy", *_walkers(runs)))
     protocol = content["protocol"]
+    command = {task: html.escape(protocol["command"][task]) for task in SYMBOLS}
     note = (
         f"<p class=soft>{protocol['robots']} robots walk {protocol['way_m']:g} m of flat ground at each speed, with "
-        f"sensor noise. {symbol('velocity')} gets {protocol['command']['velocity']}; {symbol('final')} "
-        f"{protocol['command']['final']}; {symbol('continuous')} {protocol['command']['continuous']}. Counted are "
-        f"{protocol['counted']}. Bars: 95 % intervals.</p>"
+        f"sensor noise. {symbol('velocity')} gets {command['velocity']}; {symbol('final')} {command['final']}; "
+        f"{symbol('continuous')} {command['continuous']}. Counted are {html.escape(protocol['counted'])}. "
+        "Bars: 95 % intervals.</p>"
     )
     rows = [
         [label(policy.task, policy.name), f"{row['told_m_s']:g}"]
@@ -109,7 +110,7 @@ def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
             figures = (_interval(row[name], digits) for name, digits in motion)
             travel = f"{row['travel_deg']:+.0f}°"
             rows.append([*cells, html.escape(row["gait"]), *figures, duty, phases, travel, str(row["fell"])])
-    feet = " ".join(content["policies"][0]["feet"])
+    feet = html.escape(" ".join(content["policies"][0]["feet"]))
     columns = ["gait", "m/s", "Hz", "stride [m]", f"duty {feet}", f"phase {feet}", "travel", "fell"]
     told_rows = content["policies"][0]["gaits"]
     speeds, directions = (

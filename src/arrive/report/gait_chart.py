@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from arrive.report.figure import COLUMNS, colors_of, finish, legend, panels
 from arrive.report.records import Measured
+from arrive.report.text import plain
 
 HILDEBRAND = {"pace": 0.0, "lateral walk": 0.25, "trot": 0.5, "diagonal walk": 0.75}
 """Where these gaits lie on the second axis [strides]."""
@@ -36,9 +37,9 @@ def _draw_footfalls(axes: Axes, policy: Measured, row: dict[str, Any], color: st
     for place, stands in enumerate(diagram["stands"]):
         bars = [(start * diagram["dt_s"], length * diagram["dt_s"]) for start, length in stretches(stands)]
         axes.broken_barh(bars, (len(feet) - 1 - place - 0.36, 0.72), facecolors=color)
-    axes.set_yticks(range(len(feet)), reversed(feet))
+    axes.set_yticks(range(len(feet)), [plain(foot) for foot in reversed(feet)])
     direction = f" at {row['direction_deg']:g}°" if row["direction_deg"] else ""
-    title = f"{policy.label}: {row['gait']}, commanded {row['told_m_s']:g} m/s{direction}"
+    title = f"{policy.label}: {plain(row['gait'])}, commanded {row['told_m_s']:g} m/s{direction}"
     finish(axes, title, f"time [s]; {row['speed_m_s'][0]:.2f} m/s towards {row['travel_deg']:+.0f}° of the heading", "")
     axes.grid(False, axis="y")
 

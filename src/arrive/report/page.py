@@ -9,6 +9,7 @@ from typing import Any
 
 from PIL import Image
 
+from arrive.errors import ArriveError
 from arrive.report.charts import color_of, difficulty_chart, reach_chart, speed_chart, training_chart
 from arrive.report.diagnosis import why_stuck
 from arrive.report.experiments import (
@@ -149,7 +150,8 @@ def _row(row: dict[str, Any], tasks: Sequence[str]) -> str:
                 ]
         who = f"<span class=who>{symbol(task)}</span>"
         cells.append(f"<td>{who}{''.join(bars) or '<span class=small>not in the paper, not measured</span>'}</td>")
-    parameter = f"<br><span class=small>{row['parameter']} [{row['unit']}]</span>" if row["unit"] else ""
+    unit = html.escape(f"{row['parameter']} [{row['unit']}]")
+    parameter = f"<br><span class=small>{unit}</span>" if row["unit"] else ""
     return f"<tr><td><b>{html.escape(row['family'])}</b>{parameter}</td>{''.join(cells)}</tr>"
 
 
@@ -158,13 +160,14 @@ def _bar(kind: str, value: float | None, top: float, unit: str, color: str) -> s
     share = (value / top if unit else 1.0) if value is not None else 0.0
     fill = f'<i style="width:{100 * share:.1f}%;background:{color}"></i>'
     text = f"paper {text}" if kind == "paper" else text
-    return f"<div class='bar {kind}'><div class=track>{fill}</div><span>{text}</span></div>"
+    return f"<div class='bar {kind}'><div class=track>{fill}</div><span>{html.escape(text)}</span></div>"
 
 
 def _behind(entry: dict[str, Any], unit: str) -> str:
     looser = ", ".join(f"{LIMIT_NAMES[name]}: {_value(entry[name], unit)}" for name in ("max_at_80", "max_at_50"))
     levels = "1 level" if entry["levels"] == 1 else f"{entry['levels']} levels"
-    return f"<div class=small>{looser}<br>{html.escape(entry['run'])}, {levels}, {entry['episodes']:,} episodes</div>"
+    behind = f"{html.escape(entry['run'])}, {levels}, {entry['episodes']:,} episodes"
+    return f"<div class=small>{html.escape(looser)}<br>{behind}</div>"
 
 
 def _value(value: float | None, unit: str) -> str:
@@ -200,14 +203,15 @@ def _reach(runs: Sequence[Run]) -> str:
     for run, reach in measured:
         for name, entry in reach["families"].items():
             words = f"{html.escape(ground_words(name, entry))}: {html.escape(waiting_words(entry['waiting']))}."
-            items.append(f"<li>{label(run.task, run.name)} {words} {protocol_words(run.difficulty, name, entry)}</li>")
+            compared = html.escape(protocol_words(run.difficulty, name, entry))
+            items.append(f"<li>{label(run.task, run.name)} {words} {compared}</li>")
         made.append(f"{code(_reach_command(run, reach))}, measured by {html.escape(reach['commit'])}")
     drawn, protocol = [run for run, _ in measured], measured[0][1]["protocol"]
     return (
-        f"{head}<p class=soft>Where policies are used, not where the paper measures: {protocol['success']}. Directions "
-        "are relative to the heading at the start, counterclockwise, all distances in equal parts; a target that would "
-        f"stand in a hole stands at the next place behind it. Bands: 95 % Wilson intervals. The times given "
-        "are compared in each policy's card.</p>"
+        f"{head}<p class=soft>Where policies are used, not where the paper measures: "
+        f"{html.escape(protocol['success'])}. Directions are relative to the heading at the start, counterclockwise, "
+        "all distances in equal parts; a target that would stand in a hole stands at the next place behind it. Bands: "
+        "95 % Wilson intervals. The times given are compared in each policy's card.</p>"
         f"{chart(lambda columns: reach_chart(drawn, columns), 'success by distance and direction')}"
         f"<ul>{''.join(items)}</ul><p class=made>{'<br>'.join(made)}</p>"
     )
@@ -234,7 +238,7 @@ def _usage(runs: Sequence[Run]) -> str:
     for family in dict.fromkeys(name for run in runs for name in run.results()):
         for run in (run for run in runs if family in run.usage):
             easiest = run.usage[family][0]
-            if easiest["episodes"]:
+            if "arrival_time_s" in easiest:
                 time, path = easiest["arrival_time_s"], easiest["path_length_m"]
                 rows.append(
                     f"<tr><td>{label(run.task, run.name)}</td><td>{html.escape(family)}</td>"
@@ -316,16 +320,19 @@ def _protocol(protocol: dict[str, Any]) -> str:
         f"{start['payload_kg'][1]:g} kg, no pushes, sensor noise {'on' if protocol['observation_noise'] else 'off'}; "
         f"{protocol['worlds_per_level']} worlds per level on seeds that training never saw. "
         "The policies act without exploration noise. "
-        f"{html.escape(protocol['note'][0].upper() + protocol['note'][1:])}.</p>"
+        f"{html.escape(protocol['note'][:1].upper() + protocol['note'][1:])}.</p>"
     )
 
 
 def _picture(path: Path) -> str:
     """A strip, shrunk, as a JPEG: a page of many would be too large to send otherwise."""
-    with Image.open(path) as image:
-        size = (min(STRIP_WIDTH, image.width), round(image.height * min(STRIP_WIDTH / image.width, 1.0)))
-        data = io.BytesIO()
-        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(data, "JPEG", quality=85)
+    data = io.BytesIO()
+    try:
+        with Image.open(path) as image:
+            size = (min(STRIP_WIDTH, image.width), max(round(image.height * min(STRIP_WIDTH / image.width, 1.0)), 1))
+            image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(data, "JPEG", quality=85)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:  # whatever a damaged PNG raises
+        raise ArriveError(f"cannot read the picture {path}: {error}. Delete it, or evaluate again.") from error
     return f'<img alt="{html.escape(path.stem)}" src="data:image/jpeg;base64,{_base64(data.getvalue())}">'
 
 

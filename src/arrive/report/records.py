@@ -4,13 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from arrive.config import saved_config, to_dict
+from arrive.errors import ArriveError, unknown_name
 from arrive.evaluation.arrival import Cell, CellResult
 from arrive.evaluation.reach import REACH_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import read_config, samples_before
 from arrive.policies import DIFFICULTY_NAME, EXPORTED
-from arrive.policies.solved import read_measured
-from arrive.terrain import get_family
+from arrive.report.text import plain, shown
+from arrive.results.read import check_result, read_if_there
+from arrive.terrain import FAMILIES, get_family
 
 DIFFICULTY_PICTURES = "pictures/difficulty"
 """Folder of a strip per family, under the run's."""
@@ -98,7 +101,7 @@ class Measured:
 
 def label_of(task: str, name: str) -> str:
     """The paper's symbol of a task and a policy's name, for charts."""
-    return f"{f'${SYMBOLS[task]}$' if task in SYMBOLS else task} ({name})"
+    return f"{f'${SYMBOLS[task]}$' if task in SYMBOLS else plain(task)} ({plain(name)})"
 
 
 def _results(name: str, entry: dict[str, Any]) -> list[CellResult]:
@@ -125,12 +128,13 @@ def read_run(path: Path) -> Run:
         return _read_exported(path)
     folder = path if path.is_dir() else path.parent
     _, record = read_config(folder)
-    difficulty, reach = (read_measured(folder / name) for name in (DIFFICULTY_NAME, REACH_NAME))
+    difficulty = _read_families(folder / DIFFICULTY_NAME, "difficulty")
+    reach = _read_families(folder / REACH_NAME, "reach")
     strips = {
         name: folder / DIFFICULTY_PICTURES / f"{name}.png" for name in (difficulty["families"] if difficulty else ())
     }
     return Run(
-        name=folder.resolve().name,
+        name=shown(folder.resolve().name),
         record=record,
         log=read_log(folder) if (folder / LOG_NAME).is_file() else {},
         difficulty=difficulty,
@@ -146,7 +150,31 @@ def _read_exported(path: Path) -> Run:
 
     meta = read_policy_file(path).meta
     training, measured = meta["training"], meta["evaluation"]
-    record = {name: training[name] for name in ("config", "commit")}
-    record |= {"command": f"arrive export {path.name}", "seed": training["config"]["seed"]}
+    check_result(training, "training", path, "Export the policy again.")
+    config = to_dict(saved_config(training["config"], path))
+    record = {"config": config, "commit": training["commit"], "seed": config["seed"]}
+    record["command"] = f"arrive export {path.name}"
+    if measured is not None:
+        check_result(measured, "exported", path)
+        _check_families(measured, path)
     difficulty = measured and measured | {"policy": {"samples": training["samples"], "usage": {}}}
-    return Run(name=path.stem, record=record, log={}, difficulty=difficulty, pictures={})
+    return Run(name=shown(path.stem), record=record, log={}, difficulty=difficulty, pictures={})
+
+
+def _read_families(path: Path, kind: str) -> dict[str, Any] | None:
+    """A result by terrain family, or None where there is none."""
+    content = read_if_there(path, kind)
+    if content is not None:
+        _check_families(content, path)
+    return content
+
+
+def _check_families(content: dict[str, Any], path: Path) -> None:
+    """Check that all terrain families of a result are known.
+
+    Raises:
+        ArriveError: one is not; the message has the file.
+    """
+    for name in [*content["families"], *content.get("policy", {}).get("usage", {})]:
+        if name not in FAMILIES:
+            raise ArriveError(f"cannot read {path}: {unknown_name('terrain', name, FAMILIES)}")

@@ -5,6 +5,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from arrive.report.figure import COLUMNS, OTHER_COLORS, finish, legend, panels
+from arrive.report.text import plain
 
 
 def stability_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
@@ -22,16 +23,16 @@ def stability_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
             success.plot([place] * len(runs), [100 * run["success"] for run in runs], "o", color=color, alpha=0.7)
             for number, run in enumerate(runs):
                 samples = [count / 1e6 for count in run["curve"]["samples"]]
-                own = words if number == 0 else None
+                own = plain(words) if number == 0 else None
                 variance.plot(samples, run["curve"]["explained_variance"], color=color, linewidth=1, label=own)
         success.axhline(100 * content["protocol"]["goal"], color="0.6", linewidth=0.8)
-        success.set_xticks(range(len(variants)), list(variants), rotation=20, ha="right")
+        success.set_xticks(range(len(variants)), [plain(name) for name in variants], rotation=20, ha="right")
         success.set_ylim(-3, 103)
         success.set_xlim(-0.5, len(variants) - 0.5)
-        finish(success, f"{ground}: every seed", "", "success [%]")
+        finish(success, f"{plain(ground)}: every seed", "", "success [%]")
         success.tick_params(axis="x", labelsize=8)
         variance.set_ylim(-0.2, 1.03)
-        finish(variance, f"{ground}: the critic", "samples [million]", "explained variance")
+        finish(variance, f"{plain(ground)}: the critic", "samples [million]", "explained variance")
     legend(figure, drawn)
     return figure
 

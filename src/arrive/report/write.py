@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from arrive.errors import ArriveError
-from arrive.files import read_json, write_text
+from arrive.files import write_text
 from arrive.learning.rundir import commit
 from arrive.report.experiments import FILES, Results
 from arrive.report.page import make_page
 from arrive.report.records import Run
 from arrive.report.table import make_relations, make_table
+from arrive.results.read import read_result
 
 PROTOCOLS = {"energy": "energy", "gait": "gait", "stability": "stability", "window": "time_window"}
 """What results call themselves."""
@@ -44,7 +45,7 @@ def read_results(files: dict[str, Path | None]) -> Results:
     """What was measured beside the runs.
 
     Raises:
-        ArriveError: a file that was named is missing, or one holds something else.
+        ArriveError: a file that was named is missing, or one is damaged or holds something else.
     """
     return Results(**{name: _read_result(name, files.get(name), default) for name, default in FILES.items()})
 
@@ -52,13 +53,10 @@ def read_results(files: dict[str, Path | None]) -> Results:
 def _read_result(name: str, path: Path | None, default: Path) -> dict[str, Any] | None:
     if path is None and not default.is_file():
         return None
-    path = path or default
-    content = read_json(path)
-    protocol = content.get("protocol")
-    found = protocol.get("name") if isinstance(protocol, dict) else None
-    if found != PROTOCOLS[name]:
-        raise ArriveError(f"{path} holds no result of {PROTOCOLS[name]!r}; give --{name} another file, or remove it")
-    return content
+    try:
+        return read_result(path or default, PROTOCOLS[name])
+    except ArriveError as error:
+        raise ArriveError(f"{error} (--{name} names another file.)") from None
 
 
 def make_content(runs: Sequence[Run]) -> dict[str, Any]:
