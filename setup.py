@@ -9,6 +9,7 @@ setup(
     package_dir={"": "src", SHIPPED: "policies"},
     package_data={
         "arrive": ["py.typed"],
+        "arrive.commands": ["*.json"],
         "arrive.play": ["*.js", "*.css"],
         "arrive.report": ["*.css"],
         SHIPPED: ["*/policy.pt", "*/config.json", "*/difficulty.json", "*/motor.safetensors"],

@@ -1,4 +1,4 @@
-"""Writes docs/configuration.md from the fields of the configuration, the presets and the tasks.
+"""Writes docs/configuration.md and src/arrive/commands/known.json from the code that defines what they list.
 
 python scripts/config_reference.py           # writes
 python scripts/config_reference.py --check   # exit status 1 where it is not up to date
@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pages import write_or_check
 
+from arrive.commands import known
 from arrive.fields import Row, rows
 from arrive.presets import PRESETS
 from arrive.task.registry import TASKS
@@ -51,6 +52,11 @@ def page() -> str:
     return "".join(parts)
 
 
+def listing() -> str:
+    """What `arrive list` and the help of `arrive train` print without loading the code."""
+    return json.dumps(known.collect(), indent=1) + "\n"
+
+
 def section_of(row: Row) -> str:
     """The heading that a field stands under."""
     section, dot, _ = row.path.partition(".")
@@ -73,4 +79,4 @@ def table(fields: list[tuple[Row, str]]) -> str:
 
 
 if __name__ == "__main__":
-    write_or_check(PAGE, page())
+    write_or_check({PAGE: page(), known.FILE: listing()})

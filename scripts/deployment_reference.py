@@ -149,4 +149,4 @@ def field_docs(kind: type) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    write_or_check(PAGE, page())
+    write_or_check({PAGE: page()})

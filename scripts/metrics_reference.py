@@ -30,4 +30,4 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    write_or_check(PAGE, page())
+    write_or_check({PAGE: page()})

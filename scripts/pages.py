@@ -4,8 +4,9 @@ import sys
 from pathlib import Path
 
 
-def write_or_check(file: Path, text: str) -> None:
-    """Write the page; with --check leave it, and exit with status 1 where it is not up to date."""
+def write_or_check(pages: dict[Path, str]) -> None:
+    """Write the pages; with --check leave them, and exit with status 1 where one is not up to date."""
     if "--check" in sys.argv:
-        sys.exit(file.read_text() != text)
-    file.write_text(text)
+        sys.exit(any(file.read_text() != text for file, text in pages.items()))
+    for file, text in pages.items():
+        file.write_text(text)

@@ -15,6 +15,7 @@ from arrive import cli
 from arrive.commands import names
 from arrive.fields import rows
 from arrive.learning.rundir import write_config
+from arrive.policies import shipped_names
 from arrive.presets import PRESETS
 from arrive.recipe import make_config
 from arrive.render import graphics, pictures
@@ -245,16 +246,27 @@ def test_every_field_of_the_configuration_is_shown_with_unit_default_and_range(c
     assert "  task.rewards.stall_cost.weight = -1.0 (at most 0)\n      1 while waiting" in text
 
 
-def test_help_of_other_commands_loads_no_torch():
-    program = """
+COMMANDS = ("train", "eval", "report", "energy", "gait", "drive", "play", "showreel", "export", "verify", "bench",
+            "actuator", "list")  # fmt: skip
+
+
+def test_help_and_lists_load_no_torch_and_no_matplotlib():
+    """They say all the same what the code defines."""
+    program = f"""
 import contextlib, sys
 from arrive import cli
-with contextlib.suppress(SystemExit):
-    cli.main(["eval", "--help"])
-print("torch" in sys.modules)
+for words in (["--version"], ["--help"], *([name, "--help"] for name in {COMMANDS}), ["list"], ["list", "config"]):
+    with contextlib.suppress(SystemExit):
+        cli.main(words)
+    loaded = [name for name in ("torch", "rsl_rl", "matplotlib", "onnxruntime", "viser") if name in sys.modules]
+    assert not loaded, (words, loaded)
+import arrive.commands.evaluation, arrive.commands.training
+assert "matplotlib" not in sys.modules, "only what draws needs it"
 """
-    result = subprocess.run([sys.executable, "-c", program], capture_output=True)
-    assert result.stdout.split()[-1] == b"False"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    for name in (*FAMILIES, *PRESETS, *TASKS, *ROBOTS, *REWARDS, "crash_cost", "ppo.gamma", *shipped_names()):
+        assert name in result.stdout
 
 
 def test_without_graphics_an_evaluation_says_so_in_one_line(capsys, trained, tmp_path, monkeypatch):

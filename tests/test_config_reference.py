@@ -2,6 +2,7 @@
 
 import pytest
 
+from arrive.commands import known
 from arrive.fields import rows
 from arrive.presets import PRESETS, get_preset
 from arrive.task.registry import TASKS
@@ -16,6 +17,7 @@ def reference():
 
 def test_the_page_is_up_to_date(reference):
     assert reference.PAGE.read_text() == reference.page(), "run `python scripts/config_reference.py`"
+    assert known.FILE.read_text() == reference.listing(), "run `python scripts/config_reference.py`"
 
 
 def test_every_field_of_every_task_is_on_the_page_with_a_meaning(reference):

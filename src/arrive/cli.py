@@ -9,6 +9,7 @@ import tyro
 
 from arrive import __version__
 from arrive.commands.actuator import Actuator
+from arrive.commands.known import known
 from arrive.commands.limits import check_limits
 from arrive.commands.options import (
     Bench,
@@ -92,11 +93,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _show_fields() -> None:
     """Print the fields that --set can change, below the command's help."""
-    # Imported here so that the help of other commands is fast.
-    from arrive.commands.settings import print_config
-
     print()
-    print_config()
+    print(known()["config"], end="")
 
 
 def _show_anything() -> None:

@@ -30,10 +30,8 @@ from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
 from arrive.report.diagnosis import why_stuck
-from arrive.report.experiments import FILES
 from arrive.report.reach import direction_table, distance_table, ground_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, read_run
-from arrive.report.write import write_report
 from arrive.terrain import Family
 from arrive.terrain.ground import Ground
 
@@ -244,6 +242,10 @@ def report(command: Report) -> None:
     Raises:
         ArriveError: a run or a result cannot be read.
     """
+    # Imported here because only the report draws charts, and loading matplotlib takes time.
+    from arrive.report.experiments import FILES
+    from arrive.report.write import write_report
+
     paths = [path if path.is_dir() else find_policy(path) for path in (command.run, *command.others)]
     runs = [read_run(path) for path in paths]
     unmeasured = [str(path) for path, run in zip(paths, runs, strict=True) if run.difficulty is None]

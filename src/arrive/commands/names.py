@@ -8,16 +8,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from arrive.commands.settings import print_config
+from arrive.commands.known import known
 from arrive.errors import ArriveError, unknown_name
-from arrive.learning.rundir import read_config
-from arrive.policies import DIFFICULTY_NAME, SHIPPED, shipped_names
+from arrive.files import read_json
+from arrive.policies import CONFIG_NAME, DIFFICULTY_NAME, SHIPPED, shipped_names
 from arrive.policies.solved import amounts, solved_beside
-from arrive.presets import PRESETS
+from arrive.results.read import check_result
 from arrive.robots import ROBOTS
-from arrive.task.final import PositionConfig
-from arrive.task.registry import TASKS
-from arrive.task.rewards import functions
 from arrive.terrain import FAMILIES, Family
 
 if TYPE_CHECKING:
@@ -30,21 +27,18 @@ CONFIG = "config"
 
 def list_names(command: List) -> None:
     """Print the names that commands accept."""
+    code = known()
+    if command.what == CONFIG:
+        print(code[CONFIG], end="")
+        return
     names = {
         "terrains": {f.name: _describe(f) for f in FAMILIES.values()},
-        "presets": {name: _first_line(build) for name, build in PRESETS.items()},
+        "presets": code["presets"],
         "robots": {name: robot.description for name, robot in ROBOTS.items()},
-        "tasks": {name: _first_line(task) for name, task in TASKS.items()},
-        "rewards": {
-            name: _first_line(function)
-            for task in TASKS.values()
-            for name, function in functions(task.Config().rewards).items()
-        },
+        "tasks": code["tasks"],
+        "rewards": code["rewards"],
         "policies": {name: _ability(name) for name in shipped_names()},
     }
-    if command.what == CONFIG:
-        print_config()
-        return
     if command.what is not None and command.what not in names:
         raise unknown_name("list", command.what, [*names, CONFIG])
     for kind in [command.what] if command.what else names:
@@ -62,10 +56,12 @@ def _describe(family: Family) -> str:
 
 def _ability(policy: str) -> str:
     """What a shipped policy solves according to its evaluation, and what it was trained for."""
-    config, _ = read_config(SHIPPED / policy)
-    moving = isinstance(config.task, PositionConfig) and config.task.retarget_s > 0.0
-    stick = " with moving targets, for a joystick" if moving else ""
-    trained = f"{config.robot}, trained on {', '.join(config.terrain.families)}{stick}"
+    path = SHIPPED / policy / CONFIG_NAME
+    record = read_json(path)
+    check_result(record, "shipped", path)
+    config = record["config"]
+    stick = " with moving targets, for a joystick" if config["task"].get("retarget_s") else ""
+    trained = f"{config['robot']}, trained on {', '.join(config['terrain']['families'])}{stick}"
     if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
         return f"not evaluated; {trained}"
     try:
@@ -73,7 +69,3 @@ def _ability(policy: str) -> str:
     except ArriveError as error:
         return f"{error} {trained}"
     return f"solves {', '.join(solved) or 'nothing'} in 95 % of the episodes; {trained}"
-
-
-def _first_line(thing: object) -> str:
-    return (thing.__doc__ or "").strip().splitlines()[0]

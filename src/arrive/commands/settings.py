@@ -14,15 +14,15 @@ WIDTH = 120
 TASK = "task."
 
 
-def print_config() -> None:
-    """Print every field: first those that all tasks share, then each task's own."""
-    print(f"Fields for --set PATH=VALUE, with the defaults of the preset {DEFAULT_PRESET}.")
-    print("For a term with several parameters, a single number sets its weight, or its noise.\n")
+def config_text() -> str:
+    """Every field: first those that all tasks share, then each task's own."""
+    lines = [
+        f"Fields for --set PATH=VALUE, with the defaults of the preset {DEFAULT_PRESET}.",
+        "For a term with several parameters, a single number sets its weight, or its noise.\n",
+    ]
     for heading, fields in sections():
-        print(heading)
-        for row in fields:
-            print(_described(row))
-        print()
+        lines += [heading, *(_described(row) for row in fields), ""]
+    return "\n".join(lines) + "\n"
 
 
 def sections() -> Iterator[tuple[str, list[Row]]]:

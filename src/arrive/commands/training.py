@@ -20,7 +20,6 @@ from arrive.config import Config
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.learning.checkpoint import CHECKPOINT_NAME
-from arrive.learning.curves import plot_curves
 from arrive.learning.display import TrainingDisplay, count
 from arrive.learning.logs import RunLog
 from arrive.learning.ranks import Ranks, join_ranks
@@ -149,6 +148,9 @@ def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog, lo
 
         trainer.train(run.budget, report, before_save)
     if trainer.state.iteration:
+        # Imported here because loading matplotlib would delay the start.
+        from arrive.learning.curves import plot_curves
+
         print(f"curves: {plot_curves(folder)}")
     print(f"run: {folder} ({trainer.state.iteration} iterations, {count(trainer.state.samples)} samples)")
     if trainer.interrupted:
