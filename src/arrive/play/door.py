@@ -6,6 +6,7 @@ of the page itself, and beyond this machine a token is asked for, in the address
 
 import hmac
 import ipaddress
+import re
 import secrets
 import socket
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from arrive.errors import ArriveError
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 PARAMETER = "token"
 TOKEN_BYTES = 16
+HOST = re.compile(r"(?:\[(?P<address>[0-9A-Fa-f:.]+)\]|(?P<name>[\w.-]+))(?::[0-9]{1,5})?", re.ASCII)
+"""A Host header: a name or an address, and perhaps a port."""
 SAFE_HEADERS = {"X-Frame-Options": "SAMEORIGIN", "Referrer-Policy": "no-referrer"}
 """No other page may show this one in a frame, nor be told its address."""
 
@@ -54,7 +57,7 @@ class Door:
             return f"this page is not served as {host!r}"
         upgrade = any("websocket" in value.lower() for value in headers.get_all("Upgrade"))
         origin = _single(headers, "Origin")
-        if (upgrade or headers.get_all("Origin")) and urlsplit(origin).netloc.lower() != host.lower():
+        if (upgrade or headers.get_all("Origin")) and origin.lower() not in _origins(host):
             return f"requests from {origin!r} are refused"
         if self.token and not self._has_token(headers, path):
             return "open the address that `arrive play` printed, with its token"
@@ -79,7 +82,8 @@ class Door:
         return self._matches(known) or self._matches(_parameter(path))
 
     def _matches(self, token: str) -> bool:
-        return hmac.compare_digest(token.encode(), self.token.encode())
+        # A request may hold bytes that are no text.
+        return hmac.compare_digest(token.encode(errors="backslashreplace"), self.token.encode())
 
 
 def door_of(host: str, port: int) -> Door:
@@ -125,11 +129,14 @@ def _single(headers: Headers, name: str) -> str:
 
 
 def _host_name(host: str) -> str:
-    """The name in a Host header, without its port and brackets."""
-    try:
-        return (urlsplit(f"//{host}").hostname or "").lower()
-    except ValueError:
-        return ""
+    """The name in a Host header, without its port and brackets; empty where it is none."""
+    match = HOST.fullmatch(host)
+    return (match["address"] or match["name"]).lower() if match else ""
+
+
+def _origins(host: str) -> set[str]:
+    """What a browser says of pages from a host; https is for a proxy in front of the page."""
+    return {f"{scheme}://{host.lower()}" for scheme in ("http", "https")}
 
 
 def _parameter(path: str) -> str:
