@@ -13,6 +13,7 @@ from PIL import Image
 
 from arrive import cli
 from arrive.commands import names
+from arrive.errors import shown
 from arrive.fields import rows
 from arrive.learning.rundir import write_config
 from arrive.policies import shipped_names
@@ -267,6 +268,11 @@ assert "matplotlib" not in sys.modules, "only what draws needs it"
     assert result.returncode == 0, result.stderr
     for name in (*FAMILIES, *PRESETS, *TASKS, *ROBOTS, *REWARDS, "crash_cost", "ppo.gamma", *shipped_names()):
         assert name in result.stdout
+
+
+def test_an_error_shows_terminal_commands_and_line_breaks_as_escapes(refused):
+    assert r"a\x1b[2J\nb is not a run folder" in refused("train", "flat", "--resume", "a\x1b[2J\nb")
+    assert shown("a\x1b[2J\n\udcffé") == r"a\x1b[2J\n\udcffé"
 
 
 def test_without_graphics_an_evaluation_says_so_in_one_line(capsys, trained, tmp_path, monkeypatch):

@@ -69,11 +69,28 @@ def test_what_another_host_holds_is_never_taken(tmp_path):
     assert json.loads(path.read_text())["host"] == "elsewhere"
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"pid": "x"}', "\x00\xff"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"\xff\xfe",
+        b"[]",
+        b'{"pid": "x"}',
+        b"[" * 4096,
+        b'{"pid": 1e999, "host": "x"}',
+        b'{"pid": ' + b"9" * 4000 + b', "host": "x"}',
+        b'{"pid": "1", "host": "x"}',
+        b'{"pid": 1, "host": null}',
+        b'{"pid": 1, "host": ""}',
+        b'{"pid": 1, "host": "' + b"x" * 300 + b'"}',
+    ],
+    ids=range(12),
+)
 def test_an_unreadable_lock_that_nobody_holds_is_taken(tmp_path, content):
-    """Its owner was killed before it had written its name."""
+    """Its owner was killed before it had written its name, or the file was damaged."""
     path = tmp_path / "run.lock"
-    path.write_text(content)
+    path.write_bytes(content)
     with Lock(path, "the run"):
         assert json.loads(path.read_text())["pid"] == os.getpid()
 

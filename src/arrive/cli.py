@@ -25,7 +25,7 @@ from arrive.commands.options import (
     Train,
     Verify,
 )
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, shown
 from arrive.neighbours import wait_considerately
 from arrive.plugins import import_module, import_packages
 from arrive.startup import interrupt_again
@@ -87,7 +87,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             raise
-        print("arrive: " + "\\n".join(_one_line(error).splitlines()), file=sys.stderr)
+        print(f"arrive: {shown(_one_line(error))}", file=sys.stderr)
         sys.exit(1)
 
 

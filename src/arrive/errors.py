@@ -8,6 +8,11 @@ class ArriveError(Exception):
     """A problem that the user can solve. The message says what is wrong and what to do."""
 
 
+def shown(text: str) -> str:
+    """A text in one line, with what cannot be written or seen, such as terminal commands, as escapes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ArriveError:
     """The error for an unknown name. It lists the valid names and suggests a similar one."""
     names = sorted(valid)

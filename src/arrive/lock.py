@@ -10,6 +10,8 @@ from types import TracebackType
 from arrive.errors import ArriveError
 from arrive.files import cannot_write
 
+LONGEST_HOST = 255
+
 
 class Lock:
     """Context manager around a lock file that names the owner's process and host. `release` removes the file.
@@ -118,9 +120,12 @@ class Lock:
 
 
 def _owner(content: bytes) -> tuple[int | None, str | None]:
-    """Process and host in a lock file; None if its owner was killed before it wrote them."""
+    """Process and host in a lock file; None if its owner was killed before it wrote them, or the file is damaged."""
     try:
         owner = json.loads(content)
-        return int(owner["pid"]), str(owner["host"])
-    except (ValueError, KeyError, TypeError):
+        pid, host = owner["pid"], owner["host"]
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None, None
+    if type(pid) is not int or not 0 < pid < 2**63 or not isinstance(host, str) or not 0 < len(host) <= LONGEST_HOST:
+        return None, None
+    return pid, host

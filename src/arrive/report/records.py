@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from arrive.config import saved_config, to_dict
-from arrive.errors import ArriveError, unknown_name
+from arrive.errors import ArriveError, shown, unknown_name
 from arrive.evaluation.arrival import Cell, CellResult
 from arrive.evaluation.reach import REACH_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import read_config, samples_before
 from arrive.policies import DIFFICULTY_NAME, EXPORTED
-from arrive.report.text import plain, shown
+from arrive.report.text import plain
 from arrive.results.read import check_result, read_if_there
 from arrive.terrain import FAMILIES, get_family
 
