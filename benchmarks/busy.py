@@ -1,0 +1,99 @@
+"""What training costs beside a busy process, with the default threads and with one.
+
+    python benchmarks/busy.py [--num-envs 256] [--neighbours 1] [--rounds 5] [--out busy.json]
+
+Every round runs `arrive bench` four times, each in a process of its own: with the default threads and with --threads 1,
+alone and beside processes that keep a CPU busy each. So what disturbs the machine disturbs all four alike. Before each
+run it is measured how many CPUs others keep busy: the figures of "alone" mean something only if that is near 0.
+"""
+
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import tyro
+
+from arrive.files import write_json
+from arrive.learning.rundir import commit
+from arrive.neighbours import busy_cpus
+
+RATE = "train_samples_per_s"
+THREADS = {"default": (), "one": ("--threads", "1")}
+"""Arguments of `arrive bench` by name."""
+
+
+@dataclass
+class Arguments:
+    """What to measure."""
+
+    terrain: tyro.conf.Positional[str] = "flat"
+    num_envs: int = 256
+    neighbours: int = 1
+    """Busy processes beside the training."""
+    rounds: int = 5
+    set: tuple[str, ...] = ()
+    """Changes to the configuration, as of `arrive bench`."""
+    out: Path = Path("busy.json")
+
+
+@contextlib.contextmanager
+def busy(count: int) -> Iterator[None]:
+    """So many processes that keep a CPU busy each."""
+    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def measure(arguments: Arguments, threads: str) -> dict[str, float]:
+    """One round of `arrive bench`: training throughput [samples/s], and how many CPUs others kept busy before it."""
+    others = busy_cpus()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.json"
+        command = [sys.executable, "-m", "arrive.cli", "bench", arguments.terrain, "--rounds", "1", "--json", str(path)]
+        command += ["--num-envs", str(arguments.num_envs), *THREADS[threads]]
+        command += ["--set", *arguments.set] if arguments.set else []
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return {"rate": json.loads(path.read_text())[RATE], "busy_cpus": others}
+
+
+def summary(rounds: list[dict[str, float]]) -> dict[str, Any]:
+    """Median, least and most of the rounds [samples/s], and the most CPUs that others kept busy."""
+    rates = [row["rate"] for row in rounds]
+    others = max(row["busy_cpus"] for row in rounds)
+    return {"median": median(rates), "least": min(rates), "most": max(rates), "busy_cpus": others, "rates": rates}
+
+
+def main(arguments: Arguments) -> None:
+    """Print a table in Markdown and keep the figures."""
+    cases = {(place, threads): [] for place in ("alone", "busy") for threads in THREADS}
+    for _ in range(arguments.rounds):
+        for place, threads in cases:
+            with busy(arguments.neighbours if place == "busy" else 0):
+                cases[place, threads].append(measure(arguments, threads))
+    results = {f"{place}, {threads}": summary(rounds) for (place, threads), rounds in cases.items()}
+    print("| neighbours | threads | median [samples/s] | least to most | CPUs busy before it |")
+    print("|---|---|---|---|---|")
+    for (place, threads), result in zip(cases, results.values(), strict=True):
+        count = arguments.neighbours if place == "busy" else 0
+        rates = f"{result['median']:,.0f} | {result['least']:,.0f} to {result['most']:,.0f}"
+        print(f"| {count} | {threads} | {rates} | {result['busy_cpus']:.2f} |")
+    for place in ("alone", "busy"):
+        ratio = results[f"{place}, one"]["median"] / results[f"{place}, default"]["median"]
+        print(f"{place}: the default threads take {ratio:.2f} times as long as one")
+    settings = {key: value for key, value in vars(arguments).items() if key != "out"}
+    write_json(arguments.out, {"results": results, "settings": settings, "commit": commit()})
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
