@@ -46,11 +46,11 @@ def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     if content is None:
         return head + missing("Not measured.", command_line("energy", *_walkers(runs)))
     protocol = content["protocol"]
-    command = {task: html.escape(protocol["command"][task]) for task in SYMBOLS}
+    commanded = {task: html.escape(protocol["command"][task]) for task in SYMBOLS}
     note = (
         f"<p class=soft>{protocol['robots']} robots walk {protocol['way_m']:g} m of flat ground at each speed, with "
-        f"sensor noise. {symbol('velocity')} gets {command['velocity']}; {symbol('final')} {command['final']}; "
-        f"{symbol('continuous')} {command['continuous']}. Counted are {html.escape(protocol['counted'])}. "
+        f"sensor noise. {symbol('velocity')} gets {commanded['velocity']}; {symbol('final')} {commanded['final']}; "
+        f"{symbol('continuous')} {commanded['continuous']}. Counted are {html.escape(protocol['counted'])}. "
         "Bars: 95 % intervals.</p>"
     )
     rows = [
