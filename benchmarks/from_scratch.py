@@ -49,7 +49,7 @@ class Run:
 
 
 def main(arguments: Arguments) -> None:
-    """Train and measure what is missing, then write the tables."""
+    """Train and measure the missing runs, then write the tables."""
     runs = [
         Run(name, seed, arguments.out / f"{name}-{seed}") for name in arguments.terrains for seed in arguments.seeds
     ]
@@ -76,7 +76,7 @@ def make(run: Run, arguments: Arguments) -> dict[str, Any]:
 
 
 def summary(run: Run, measured: dict[str, Any]) -> dict[str, Any]:
-    """What a run reached, from its log and its measurement."""
+    """The results of a run, from its log and its measurement."""
     with (run.folder / "log.csv").open() as file:
         log = list(csv.DictReader(file))
     families = measured["families"]

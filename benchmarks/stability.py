@@ -34,9 +34,9 @@ class Variant:
 
     words: str
     settings: tuple[str, ...] = ()
-    """What is set, as PATH=VALUE."""
+    """Changes to the configuration, as PATH=VALUE."""
     module: Path | None = None
-    """What is imported."""
+    """Modules to import."""
 
 
 @dataclass
@@ -73,7 +73,7 @@ def variants(preset: str) -> dict[str, Variant]:
 
 
 def main(arguments: Arguments) -> None:
-    """Train and measure what is missing, one run after the other, and print the table."""
+    """Train and measure the missing runs, one after the other, and print the table."""
     torch.set_num_threads(1)
     choices = variants(arguments.preset)
     runs: list[dict[str, Any]] = []

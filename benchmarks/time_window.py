@@ -39,7 +39,7 @@ class Arguments:
     preset: str = "robust"
     episodes: int = 200
     speeds: tuple[float, ...] = (0.5, 0.75, 1.0)
-    """Told when the cost of walking is measured [m/s]."""
+    """Commanded speeds for the cost of walking [m/s]."""
     robots: int = 20
     """Per speed."""
     distance: float = 20.0
@@ -51,7 +51,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> None:
-    """Train and measure what is missing, one run after the other, and print the table."""
+    """Train and measure the missing runs, one after the other, and print the table."""
     torch.set_num_threads(1)
     episode_s = override(get_preset(arguments.preset), arguments.set).task.episode_s
     windows = arguments.windows or (*(w for w in (0.5, 1.0, 2.0, 4.0) if w < episode_s), episode_s)
@@ -74,7 +74,7 @@ def main(arguments: Arguments) -> None:
 
 
 def walking_costs(arguments: Arguments, folder: Path, policy: Policy) -> list[dict[str, Any]]:
-    """A row per speed as of `arrive energy`; what was measured before is read again."""
+    """A row per speed, as of `arrive energy`; earlier results are read again."""
     path = folder / "energy.json"
     wanted = {
         "samples": policy.samples,

@@ -38,13 +38,13 @@ class Training:
     """Policy steps of all robots."""
     preset: str
     settings: tuple[str, ...] = ()
-    """What is set, as PATH=VALUE."""
+    """Changes to the configuration, as PATH=VALUE."""
     threads: int = 0
     module: Path | None = None
     """Imported before anything, as by `--import`."""
 
     def finish(self) -> Policy:
-        """Train it, or what is missing of it.
+        """Train it, or the rest of it.
 
         Raises:
             subprocess.CalledProcessError: the training failed.

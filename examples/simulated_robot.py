@@ -38,7 +38,7 @@ def state_estimate(robot: SimulatedRobot, now_s: float) -> Sensors:
 
 
 def height_map(robot: SimulatedRobot, now_s: float, recent: deque[HeightMap]) -> HeightMap:
-    """What a mapping node would have published: an older map, with cells that no camera saw."""
+    """A map as a mapping node publishes it: a little old, with cells that no camera has seen."""
     seen = robot.height_map(now_s)
     holes = rng.random(seen.heights_w.shape) < HOLES
     recent.append(replace(seen, heights_w=np.where(holes, np.nan, seen.heights_w)))

@@ -41,7 +41,7 @@ def page() -> str:
 
 
 def observation(policy: PolicyFile) -> str:
-    """What the terms of a policy's observation are, and where they stand."""
+    """The terms of a policy's observation, and their positions in it."""
     rows = [
         f"| {term.start}:{term.stop} | {term.name} | {TERMS[term.name].meaning} | {term.unit} | {term.frame} | "
         f"{term.scale:g} |"

@@ -1,4 +1,4 @@
-"""What the scripts that make pages of the documentation share."""
+"""Shared by the scripts that generate pages of the documentation."""
 
 import sys
 from pathlib import Path

@@ -22,7 +22,7 @@ using Json = nlohmann::json;
 using Vector = std::vector<double>;
 using Vec3 = std::array<double, 3>;
 
-// What a robot measures and is told. World: level, z up. Base: x forward, y left, z up.
+// Measurements and command of a robot. World: level, z up. Base: x forward, y left, z up.
 struct State {
   Vector joint_pos, joint_vel;               // in the order of the file's joint names [rad, rad/s]
   Vec3 base_pos_w;                           // [m]

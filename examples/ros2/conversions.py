@@ -1,4 +1,4 @@
-"""From ROS 2 messages to what the controller takes. Reads fields alone, so that it needs no ROS to be tested.
+"""Convert ROS 2 messages for the controller. It only reads their fields, so tests need no ROS.
 
 Units are those of REP 103 on both sides: m, rad, s. Two orders differ: ROS quaternions are (x, y, z, w), and a grid_map
 begins at its corner of largest x and y.

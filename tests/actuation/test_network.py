@@ -100,7 +100,7 @@ class TestFile:
             ({"hidden_units": [8, 8]}, r"says \[8, 8\] hidden units and has \[5, 3\]"),
             ({"taps_s": [0.0, 0.012, 0.02]}, "a tap of 0.012 s is no multiple"),
             ({"taps_s": [0.0, 0.01]}, r"layers.0.weight is float32 \(5, 6\), where float32 \(5, 4\) is needed"),
-            ({"taps_s": []}, "taps_s is what the architecture `taps` has"),
+            ({"taps_s": []}, "only the architecture `taps` has taps_s"),
             ({"period_s": 0}, "period_s must be positive and finite, not 0.0"),
             ({"torque_scale": float("nan")}, "torque_scale must be positive and finite, not nan"),
             ({"period_s": "soon"}, "no number where one is needed"),

@@ -40,7 +40,7 @@ class TorqueClip:
         return affine_limits(stall, slope, effort, speed)
 
     def cut(self, torque: np.ndarray, speed: np.ndarray) -> None:
-        """Cut torques at what the motors can give at these speeds, in place.
+        """Clip torques to the motors' limits at these speeds, in place.
 
         Args:
             torque: (..., motors) [N m].
@@ -71,7 +71,7 @@ def affine_limits(
 def motor_torque(
     motor: Motor, error_rad: np.ndarray, speed: np.ndarray, kind: Literal["dc", "ideal"] = "dc"
 ) -> np.ndarray:
-    """Torque by the explicit formula; what the simulated motor is tested against.
+    """Torque by the explicit formula, for tests of the simulated motor.
 
     Args:
         error_rad: joint target minus joint position [rad], any shape.

@@ -36,7 +36,7 @@ def _steps(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
 
 
 def _policy(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
-    """What an exploring policy sends: a new random target every 20 ms around a slow motion."""
+    """Targets as of an exploring policy: a new random one every 20 ms, around a slow motion."""
     index = (time / CONTROL_S).astype(int)
     slow = 0.3 * np.sin(2 * np.pi * rng.uniform(0.3, 3.0) * time[:, None] + rng.uniform(0, 6, 1))[:, 0]
     return slow[np.searchsorted(index, index)] + rng.normal(0, rng.uniform(0.05, 0.4), index[-1] + 1)[index]

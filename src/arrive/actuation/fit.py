@@ -70,7 +70,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Fit:
-    """A trained network and what it was measured on."""
+    """A trained network and its errors."""
 
     network: ActuatorNetwork
     errors: Errors
@@ -120,8 +120,8 @@ def fit(
 
     Args:
         trajectories: of one period; see `read_logs`.
-        data: what they are, for the file.
-        progress: told each epoch and the error on the trajectories kept for stopping [N m].
+        data: description of the data, for the file.
+        progress: called with each epoch and the error on the validation trajectories [N m].
 
     Raises:
         ArriveError: the logs are too short or their torque is constant, or the configuration makes no sense.

@@ -1,4 +1,4 @@
-"""Logs of joints: what a robot or a test bench recorded, checked before anything is learnt from it."""
+"""Logs of joints, recorded on a robot or a test bench. They are checked when they are read."""
 
 import csv
 import io
@@ -16,7 +16,7 @@ from arrive.files import read_text
 COLUMNS = ("time", "target", "position", "velocity", "torque")
 """Seconds, radians, radians, rad/s and N m of the joint."""
 JOINT = "joint"
-"""Column of a CSV file that tells joints apart; without it a file is one joint."""
+"""Column of a CSV file with the joint's name. Without it, a file is one joint."""
 JITTER = 0.1
 """Periods may differ from their median by this share."""
 

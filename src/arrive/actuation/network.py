@@ -1,4 +1,4 @@
-"""A drive as a small neural network: its weights, what they mean, and what is checked before anything uses them."""
+"""A small neural network that models a drive: its weights, their meaning, and checks before they are used."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -42,9 +42,9 @@ class ActuatorNetwork:
     taps_s: tuple[float, ...] = ()
     """Delays of the inputs of `taps`, multiples of the period [s]."""
     data: str = ""
-    """What it was trained on, for people to read."""
+    """Description of the training data."""
     error_nm: float | None = None
-    """RMS error on trajectories held out from training [N m]; None where nobody has measured it."""
+    """RMS error on trajectories held out from training [N m]; None if it was not measured."""
 
     def __post_init__(self) -> None:
         for name in ("period_s", "error_scale", "velocity_scale", "torque_scale"):
@@ -73,7 +73,7 @@ class ActuatorNetwork:
 
     def _check_taps(self) -> None:
         if (self.architecture == "taps") != bool(self.taps_s):
-            raise ArriveError("taps_s is what the architecture `taps` has, and no other")
+            raise ArriveError("only the architecture `taps` has taps_s")
         for tap in self.taps_s:
             steps = tap / self.period_s if math.isfinite(tap) else -1.0
             if not 0.0 <= steps <= MAX_DELAY or abs(steps - round(steps)) > 1e-6:

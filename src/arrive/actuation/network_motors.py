@@ -44,7 +44,7 @@ class NetworkMotors:
         return torque
 
     def reset(self, env_ids: np.ndarray) -> None:
-        """Forget what the joints of these robots did."""
+        """Reset the state of these robots' joints."""
         joints = self._shape[1]
         self._runtime.reset((env_ids[:, None] * joints + np.arange(joints)).ravel())
 

@@ -99,7 +99,7 @@ def _draw_frequencies(gain: Axes, phase: Axes, drive: DriveModel, style: dict[st
 
 
 def _draw_plane(panel: Axes, drive: DriveModel, motor: Motor, color: str) -> None:
-    """Torque over speed for some position errors, before and after the clip, in what the clip allows."""
+    """Torque over speed for some position errors, before and after clipping, with the clip's limits."""
     speeds = np.linspace(-1.3 * motor.no_load_speed, 1.3 * motor.no_load_speed, 53)
     lowest, highest = TorqueClip([motor], drive.clip).limits(speeds)
     bound = 1.6 * motor.stall_torque

@@ -1,4 +1,4 @@
-"""What a motor does with a step, a sine and a speed: the figures by which motors are compared."""
+"""Responses of a motor to a step, a sine and a constant speed, to compare motors."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ CYCLES, LEAST_S = 3, 1.0
 
 @dataclass(frozen=True)
 class DriveModel:
-    """A motor to look at: what it would give without limits, how often, and what then cuts it."""
+    """A motor to compare: its law without limits, its period, and its limits."""
 
     name: str
     make_law: Callable[[int], Law]

@@ -139,7 +139,7 @@ class TapsRuntime:
 
 
 class Blocks:
-    """Joints as columns of equally large blocks; the last block may have columns that nobody uses."""
+    """Joints as columns of equally large blocks; the last block may have unused columns."""
 
     def __init__(self, num_joints: int, largest_matrix: int):
         """Choose the columns of a block so that a product with the largest matrix stays on one thread."""

@@ -18,7 +18,7 @@ import numpy as np
 from arrive.deployment import Controller, HeightMap, Joystick, Sensors
 
 WARM_UP = 500
-"""Steps before the first that counts."""
+"""Steps before the first that is measured."""
 MAP_CELLS, MAP_CELL_M = 100, 0.04
 """A robot-centric elevation map of 4 m x 4 m, as quadrupeds carry."""
 UNSEEN = 0.02

@@ -17,7 +17,7 @@ HIDDEN = (512, 256, 128)
 """The paper's networks."""
 STEPS = 100_000
 TARGETS = {"median": 0.2, "p99": 1.0, "resident": 150.0}
-"""What the controller is meant to keep: milliseconds, and megabytes for the last."""
+"""Limits for the controller: milliseconds, and megabytes for the last."""
 
 
 def bench_deployment(
@@ -81,7 +81,7 @@ def _hidden_sizes(path: Path) -> list[int]:
 
 
 def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
-    """A policy of the default robot and task that nobody trained."""
+    """An untrained policy for the default robot and task."""
     import torch
     from tensordict import TensorDict
 

@@ -25,7 +25,7 @@ from arrive.physics.engine import STATE_FIELDS, Physics
 from arrive.physics.options import PhysicsConfig
 
 RATES = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
-"""What is measured, each in policy steps or samples per second."""
+"""The measured rates, each in policy steps or samples per second."""
 
 Progress = Callable[[int, int], None]
 
@@ -126,7 +126,7 @@ class _Bench:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was measured."""
+        """Discard all measurements."""
         self.rates: dict[str, list[float]] = {name: [] for name in RATES}
         self.ratios: list[float] = []
 

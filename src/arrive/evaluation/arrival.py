@@ -26,7 +26,7 @@ from arrive.terrain.levels import EVALUATION_SEED_OFFSET, level_values
 MAX_ENVS = 2000
 """Robots simulated at a time."""
 EPISODE_BYTES = 12_000
-"""What is kept of an episode of 8 s: where it led at each step, and how it went."""
+"""Memory for an episode of 8 s: its positions at each step, and its outcome."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class CellResult:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What an evaluation changes about the episodes of training."""
+    """How the episodes of an evaluation differ from those of training."""
 
     layout: Layout = "training"
     trial: Trial | None = None

@@ -21,7 +21,7 @@ COMPARED = ("final", "continuous")
 
 
 class ControlledRobots:
-    """A controller of its own for every robot of an environment, in the place of the network.
+    """A controller for every robot of an environment, instead of the network.
 
     A controller receives what the network would, noise included, but as measurements: from each slice of the noisy
     observation follows a sensor reading. Noise of the direction of gravity tilts the measured orientation; the target

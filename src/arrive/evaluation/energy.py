@@ -26,7 +26,7 @@ STALL_M = 0.5
 LEAST_M = 2.0
 """Robots that fell before this say nothing about walking; they are counted [m]."""
 SLOWEST = STALL_M / STALL_S
-"""Nobody who gets to the end is slower [m/s]."""
+"""Slowest robot that can finish [m/s]."""
 FIGURES = {
     "torque_sq": "sum of squared torques per metre [N^2 m^2 s/m]",
     "positive_work": "positive mechanical work per metre [J/m]",
@@ -35,12 +35,12 @@ FIGURES = {
     "speed": "speed reached [m/s]",
     "time_s": "time for the whole way [s]",
 }
-"""What is measured at each speed; each is a value with the ends of its 95 % interval."""
+"""The measurements at each speed, each a value with the ends of its 95 % interval."""
 
 
 @dataclass
 class Walks:
-    """How far every robot got, and what it spent; each (n,), on the CPU."""
+    """Distance and energy of every robot; each (n,), on the CPU."""
 
     way_m: Tensor
     """Along the direction in which it was sent [m]."""
@@ -93,7 +93,7 @@ def measure_energy(
 
 
 def check_energy_arguments(speeds: Sequence[float], robots: int, way_m: float) -> None:
-    """Refuse what would measure nothing.
+    """Refuse arguments with which there is nothing to measure.
 
     Raises:
         ArriveError: no speeds, fewer than two robots, or a way that is too short or leads off the ground.

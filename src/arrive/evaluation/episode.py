@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What a robot did in one episode, ready to be drawn; the model's first joint is the robot's free joint."""
+    """One robot's episode, ready to be drawn; the model's first joint is the robot's free joint."""
 
     model: mujoco.MjModel
     qpos: np.ndarray

@@ -1,4 +1,4 @@
-"""What a gait is: duty factors, strides and phases of the feet, from when each of them stands."""
+"""Gaits: duty factors, strides and phases of the feet, from their contacts over time."""
 
 import itertools
 import math
@@ -24,7 +24,7 @@ NAMES = {
     "three-phased": "the feet step in three groups: of four, one pair steps together between two single feet",
     "none": f"none of these, or phases that spread by more than {STEADY:g} strides",
 }
-"""Names and what each means; feet step together whose phases differ by at most `TOGETHER` strides."""
+"""Names with their meanings; feet step together whose phases differ by at most `TOGETHER` strides."""
 
 
 @dataclass(frozen=True, eq=False)

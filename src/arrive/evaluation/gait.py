@@ -83,7 +83,7 @@ def measure_gait(
 
 
 def check_gait_arguments(commands: Sequence[Heading], robots: int, seconds: float) -> None:
-    """Refuse what would measure nothing.
+    """Refuse arguments with which there is nothing to measure.
 
     Raises:
         ArriveError: no speeds or directions, fewer than two robots, or too short a look.
@@ -104,7 +104,7 @@ def _told(heading: Heading) -> dict[str, float]:
 def walk_steadily(
     env: ArriveEnv, pilot: Pilot, seconds: float, progress: Progress = lambda i, n: None
 ) -> GaitRecording:
-    """Let all robots walk for `SETTLE_S`, then write down how they do."""
+    """Let all robots walk for `SETTLE_S`, then record them."""
     settle, steps = (round(time / env.control_dt) for time in (SETTLE_S, seconds))
     upright = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
     observation, rows = env.get_observations()[POLICY], []
@@ -203,7 +203,7 @@ def _footfall_means(falls: list[Footfalls], corners: np.ndarray) -> dict[str, An
 
 
 def _motion(record: GaitRecording, mine: list[int], frequencies: list[float]) -> dict[str, Any]:
-    """Strides, direction of travel and what the base does meanwhile."""
+    """Strides, direction of travel and motion of the base."""
     velocity, yaw = record.velocity[:, mine], record.yaw[:, mine]
     way = velocity.mean(0)
     speed = np.linalg.norm(way, axis=-1)

@@ -29,7 +29,7 @@ UNITS = {
     "rest_joint_speed_rad_s": "mean joint speed in the last second [rad/s]",
     "rest_height": "base height in the last second, over that of standing",
 }
-"""What each figure is."""
+"""The meaning of each figure."""
 
 
 class MotionMeter:

@@ -1,4 +1,4 @@
-"""What the motors of robots spend, summed up at every physics step."""
+"""Energy of the robots' motors, summed over all physics steps."""
 
 from dataclasses import replace
 from typing import Any
@@ -31,7 +31,7 @@ class MeteredPhysics:
         self.torque_sq = zeros.clone()
         """(num_envs,) integral of the joints' squared torques over time [N^2 m^2 s]."""
         self.positive_work = zeros.clone()
-        """(num_envs,) what the motors put in: integral of the positive parts of torque * speed of each joint [J]."""
+        """(num_envs,) work of the motors: integral of the positive parts of torque * speed of each joint [J]."""
         self.absolute_work = zeros.clone()
         """(num_envs,) the same of its absolute values, of motors that brake at a cost [J]."""
 

@@ -36,7 +36,7 @@ class Played:
     success: Tensor
     """(n,) bool."""
     distance: Tensor
-    """(n,) what was left of the way at the end [m]."""
+    """(n,) distance left at the end [m]."""
     steps: Tensor
     """(n,) policy steps it took."""
     reached: Tensor

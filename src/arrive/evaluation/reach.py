@@ -1,5 +1,4 @@
-"""Where and by when a policy arrives: success by the target's distance and direction and by the time given, and whether
-the robot then waits there."""
+"""Success rates by the target's distance and direction and by the time given, and whether robots then wait there."""
 
 import math
 from collections import Counter
@@ -35,7 +34,7 @@ DIRECTIONS = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 TIMES = (3.0, 5.0, 8.0, 10.0)
 """Given to get there [s]."""
 FARTHEST = 6.4
-"""Nothing is known of the ground beyond [m]."""
+"""The ground is not known beyond this distance [m]."""
 WAIT_S = 30.0
 """How long robots wait at their target [s]."""
 MOVED_M = 0.05

@@ -26,12 +26,12 @@ def hexadecimal(colour: Rgb) -> str:
 
 
 def leg_names(foot_names: tuple[str, ...]) -> tuple[str, ...]:
-    """What the feet's names begin with: LF of LF_FOOT, FL of FL_foot; the whole name where nothing is parted off."""
+    """Prefixes of the feet's names: LF of LF_FOOT, FL of FL_foot; the whole name if it has no prefix."""
     return tuple(name.partition("_")[0] for name in foot_names)
 
 
 def joint_kinds(joint_names: tuple[str, ...], foot_names: tuple[str, ...]) -> tuple[str, ...]:
-    """What a joint is called in its leg: HAA of LF_HAA; joints of the same kind in all legs share it."""
+    """A joint's name within its leg: HAA of LF_HAA. Joints of the same kind share it in all legs."""
     legs = set(leg_names(foot_names))
     split = ((name, *name.partition("_")[::2]) for name in joint_names)
     return tuple(rest if leg in legs and rest else name for name, leg, rest in split)

@@ -36,11 +36,11 @@ class Door:
     names: frozenset[str]
     """Host names that a request may ask for; empty where every literal address of this machine may do."""
     token: str
-    """What a request must bring, empty on this machine alone."""
+    """Token that a request must have; empty if only this machine can reach the page."""
 
     @property
     def address(self) -> str:
-        """What a person opens."""
+        """The address to open in a browser."""
         shown = socket.gethostname() if _is_wildcard(self.host) else self.host
         shown = f"[{shown}]" if ":" in shown else shown
         return f"http://{shown}:{self.port}" + (f"/?{PARAMETER}={self.token}" if self.token else "")

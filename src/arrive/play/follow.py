@@ -50,7 +50,7 @@ class Follower:
             self._post(lambda playground: playground.learn(skill) if playground.skill.name == skill.name else None)
 
     def _stamp(self) -> tuple[int, int] | None:
-        """What a file that was replaced has another of; None while there is none."""
+        """Changes when the file is replaced; None if there is no file."""
         try:
             status = Path(self._file).stat()
         except OSError:

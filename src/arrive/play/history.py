@@ -1,4 +1,4 @@
-"""The last seconds of what the plots show."""
+"""The last seconds of the plotted values."""
 
 from collections import deque
 

@@ -1,4 +1,4 @@
-"""What a person can set and press, and what they are told."""
+"""The page's controls and messages."""
 
 import math
 from collections.abc import Callable
@@ -183,7 +183,7 @@ class Panel:
         self._stick = gui.add_text(
             "Stick", CENTRE, hint="forward and left, -1 to 1; written by stick, keys and gamepad"
         )
-        self._frame = gui.add_dropdown("Forward is", (AWAY, OWN), hint="What the stick's upper end means")
+        self._frame = gui.add_dropdown("Forward is", (AWAY, OWN), hint="Direction of the stick's upper end")
 
         @self._stick.on_update
         def _(event: viser.GuiEvent[viser.GuiTextHandle]) -> None:

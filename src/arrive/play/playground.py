@@ -1,4 +1,4 @@
-"""One robot on one tile, run by the deployment controller: what a person in the browser plays with."""
+"""One robot on one tile, run by the deployment controller and operated from the browser."""
 
 import math
 from collections import deque
@@ -36,7 +36,7 @@ TERRAIN_GROUP = 0
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What the panels show of one moment."""
+    """The values that the panels show."""
 
     time_s: float
     speed: float
@@ -149,7 +149,7 @@ class Playground:
             self.goal = STOP
 
     def read(self) -> Reading:
-        """What the panels show now."""
+        """The current values for the panels."""
         data = self.robot.data
         return Reading(
             time_s=self.time_s,

@@ -40,7 +40,7 @@ Meshes = dict[tuple[float, ...], Triangles]
 
 
 class Scene:
-    """What the canvas shows; names of bodies are those of the compiled model."""
+    """The objects on the canvas; names of bodies are those of the compiled model."""
 
     def __init__(self, server: viser.ViserServer, playground: Playground):
         """Send sky, light, robot, ground and target."""

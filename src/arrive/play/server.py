@@ -28,7 +28,7 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
             take the door and the guard.
     """
     door = door_of(host, port)
-    # viser would silently take another port, and look for one for ever where the host is wrong.
+    # viser would silently take another port, and search endlessly if the host is wrong.
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.create_server((host, port), family=family):

@@ -50,7 +50,7 @@ class Ticker:
 
 
 class Session:
-    """What the browsers share. Only the thread that runs it touches the simulation."""
+    """State that all browsers share. Only the thread that runs it touches the simulation."""
 
     def __init__(self, server: viser.ViserServer, playground: Playground):
         """Put everything on the page; nothing moves until `run`."""

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 SEGMENTS = 28
-"""Sides of what is round."""
+"""Number of sides of round shapes."""
 ARC = 7
 """Rings of a quarter circle."""
 Geom = mujoco.mjtGeom

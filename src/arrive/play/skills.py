@@ -1,4 +1,4 @@
-"""What a policy can do: the terrain it was trained on, and the hardest of it that it was measured to solve."""
+"""Abilities of a policy: the terrain of its training, and the hardest value that it solves as measured."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +18,7 @@ from arrive.terrain.ground import Ground
 
 @dataclass(frozen=True)
 class Skill:
-    """A policy by its name, with what it was measured to solve."""
+    """A policy with its name and the values that it solves as measured."""
 
     name: str
     policy: PolicyFile
@@ -53,7 +53,7 @@ class Skill:
         """The terrain that shows it: of those it was trained on, the most telling one that it solves."""
         trained = [name for name in self.config.terrain.families if name in FAMILIES]
         telling = [name for name in TELLING if name in (self.solved or trained) and name in trained]
-        # Of a policy that nobody measured, level ground shows more than a middle level of everything.
+        # For a policy without a measurement, level ground shows more than a middle level of everything.
         family = "flat" if not telling or (not self.solved and "flat" in trained) else telling[0]
         return Ground(FAMILIES[family], self.value(family), layout)
 
@@ -73,7 +73,7 @@ class Choice:
     robot: str
     """Name of the robot that it moves."""
     label: str
-    """What a chooser shows: its short name and what it solves."""
+    """Text in the menu of policies: the short name and the solved values."""
 
 
 def choices(current: Skill) -> tuple[Choice, ...]:

@@ -1,4 +1,4 @@
-"""What the page says of how things stand, in words that need no knowledge of the controller."""
+"""The state of the robot in words that need no knowledge of the controller."""
 
 from html import escape
 
@@ -12,7 +12,7 @@ RESTING, MOVING, DONE, WRONG = "resting", "moving", "done", "wrong"
 
 
 def status_html(playground: Playground, pace: Pace) -> str:
-    """What the robot does, on what, how fast, and what happened last."""
+    """The robot's activity, ground, speed and last event."""
     kind, title, words = doing(playground)
     speed = f"{pace.factor:.1g} of real time" if 0.0 < pace.factor < 1.0 else "" if pace.factor else "paused"
     falls = f"{playground.falls} fall{'' if playground.falls == 1 else 's'}" if playground.falls else ""
@@ -26,7 +26,7 @@ def status_html(playground: Playground, pace: Pace) -> str:
 
 
 def doing(playground: Playground) -> tuple[str, str, str]:
-    """What the robot does: its kind, a title of a word or two, and the rest of the sentence."""
+    """The robot's activity: its kind, a title of a word or two, and the rest of the sentence."""
     command, distance = playground.command, playground.distance
     if command.mode == "safe":
         return WRONG, "Safe stance", command.reason

@@ -17,7 +17,7 @@ DOWN_DEG, STEEPER_DEG = 15.0, 24.0
 ROBOT_RADIUS, TARGET_RADIUS = 1.25, 0.8
 """Radii of what is to be in the picture, around the base of ANYmal C and around the target [m]."""
 NEAREST, FARTHEST = 4.0, 14.0
-"""Distance between the camera and what it looks at [m]."""
+"""Distance between the camera and the point it looks at [m]."""
 SHARES = np.linspace(0.1, 0.6, 11)
 """The camera looks at one of these shares of the way from the robot to its target: that from which it sees both from
 nearest."""

@@ -14,7 +14,7 @@ EXPORTED = ".onnx"
 POLICY_NAME = "policy.pt"
 """File of the network in a run folder."""
 CONFIG_NAME = "config.json"
-"""What it was trained with, beside it."""
+"""Its configuration, beside it."""
 DIFFICULTY_NAME = "difficulty.json"
 """What `arrive eval --protocol difficulty` found, beside it."""
 CURVES_NAME = "curves.png"
@@ -65,7 +65,7 @@ def _runs_in(folder: Path) -> list[str]:
 
 
 def _meant(name: str) -> str:
-    """What a name that does not exist may stand for, and what there is."""
+    """Suggestions for an unknown name, and the known names."""
     known = {run: run for run in shipped_names()}
     for run in _runs_in(RUNS):
         known |= {run: str(RUNS / run), str(RUNS / run): str(RUNS / run)}

@@ -44,7 +44,7 @@ def _within(family: str, value: object) -> bool:
 
 
 def amounts(solved: dict[str, float]) -> list[str]:
-    """What was solved in words, such as "gap 0.4 m", the most telling first; nothing of terrain without a parameter."""
+    """Solved values in words, such as "gap 0.4 m", in the order of `TELLING`; none for terrain without parameter."""
     varying = [family for family in solved if varies(FAMILIES[family])]
     varying.sort(key=lambda family: (*TELLING, family).index(family))
     return [f"{family} {Ground(FAMILIES[family], solved[family]).amount}" for family in varying]

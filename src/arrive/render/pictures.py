@@ -24,7 +24,7 @@ MARGIN = 0.7
 FARTHEST_VIEW = 4.2
 """A camera does not go farther away to have the whole path in its picture; it goes along with the robot [m]."""
 AHEAD = 0.5
-"""What the camera looks at is this far before the robot [m]."""
+"""Distance of the point that the camera looks at in front of the robot [m]."""
 VIEWS_DEG = tuple((side, down) for down in (-22.0, -35.0, -50.0) for side in (52.0, -52.0, 28.0, -28.0))
 """Directions to look in, from that of the way, and down: the first from which the ground hides the robot least is
 taken."""

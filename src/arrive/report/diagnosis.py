@@ -11,7 +11,7 @@ CAUSES = {
     "stalled": "stood still too early",
     "late": "were still on their way",
 }
-"""What robots did, by cause of failure."""
+"""Descriptions of failures, by cause."""
 WANTED = 0.95
 LEAST_SHARE = 0.005
 """Rarer causes are not mentioned."""
@@ -33,7 +33,7 @@ def why_stuck(results: Sequence[CellResult]) -> str:
 
 
 def how(result: CellResult) -> str:
-    """What the others did, commonest first."""
+    """Causes of the failures, most frequent first."""
     shares = {cause: count / result.episodes for cause, count in result.failures.items()}
     named = sorted((cause for cause in shares if shares[cause] >= LEAST_SHARE), key=lambda cause: -shares[cause])
     return ", ".join(f"{shares[cause]:.1%} {CAUSES.get(cause, cause)}" for cause in named)

@@ -19,7 +19,7 @@ MARKS = {"holds": "✓", "fails": "✗", "open": "?"}
 
 @dataclass(frozen=True)
 class Results:
-    """What was measured beside the runs' own folders; each None where nothing was."""
+    """Measurements outside the runs' folders; each None if there is none."""
 
     energy: dict[str, Any] | None = None
     """Of `arrive energy`."""
@@ -129,7 +129,7 @@ def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
 
 
 def stability_section(content: dict[str, Any] | None) -> str:
-    """What the paper's three changes for stability do (its section II-F)."""
+    """Effect of the paper's three changes for stability (its section II-F)."""
     head = "<h2 id=stability>Stability of training (section II-F)</h2>"
     if content is None:
         return head + missing("Not measured.", "python benchmarks/stability.py --samples 5e6")
@@ -164,7 +164,7 @@ def stability_section(content: dict[str, Any] | None) -> str:
 
 
 def window_section(content: dict[str, Any] | None) -> str:
-    """What the task reward's dependence on time does: T_r from short to the whole episode."""
+    """Effect of the duration T_r of the task reward, from short to the whole episode."""
     head = "<h2 id=window>The reward window T<sub>r</sub></h2>"
     if content is None:
         return head + missing("Not measured.", "python benchmarks/time_window.py gap=0.2 --samples 1e7")

@@ -1,4 +1,4 @@
-"""What the sections of the page share: names of policies, charts, and what is missing."""
+"""Parts shared by the sections of the page: names of policies, charts, and notes on missing results."""
 
 import base64
 import html
@@ -37,7 +37,7 @@ def command_line(*words: object) -> str:
 
 
 def missing(what: str, *commands: str) -> str:
-    """What a section says that has no data."""
+    """The note in a section without data."""
     return f"<p class=missing>{what} To make it: {' then '.join(map(code, commands))}</p>"
 
 

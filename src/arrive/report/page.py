@@ -57,7 +57,7 @@ NOTHING = Results()
 
 
 def make_page(runs: Sequence[Run], content: dict[str, Any], results: Results = NOTHING) -> str:
-    """The page of `report.make_content`'s figures and of what was measured beside the runs."""
+    """The page with the figures of `report.make_content` and the measurements outside the runs' folders."""
     sections = [
         _head(runs, content),
         _claims(content["relations"]),

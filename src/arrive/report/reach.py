@@ -60,7 +60,7 @@ def waiting_words(waiting: dict[str, Any]) -> str:
 
 
 def protocol_words(difficulty: dict[str, Any] | None, name: str, entry: dict[str, Any]) -> str:
-    """What the protocol of maximum difficulty found at the same value, to compare with; empty where nothing."""
+    """The result of the protocol of maximum difficulty at the same value, to compare; empty if there is none."""
     if difficulty is None:
         return ""
     levels: Sequence[dict[str, Any]] = (difficulty.get("families", {}).get(name) or {}).get("levels", ())

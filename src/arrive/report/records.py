@@ -1,4 +1,4 @@
-"""What a run's folder holds for a report: how it was trained, how it was measured, its pictures."""
+"""Contents of a run's folder for a report: training, measurements, pictures."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,7 +76,7 @@ class Run:
         return self.difficulty["policy"]["usage"] if self.difficulty else {}
 
     def results(self) -> dict[str, list[CellResult]]:
-        """What was measured, by family; empty where nothing was."""
+        """Measurements by family; empty if there are none."""
         return {name: _results(name, entry) for name, entry in self.families.items()}
 
 

@@ -77,7 +77,7 @@ def _cost_at(speed: float, curves: Sequence[np.ndarray]) -> tuple[float, float, 
 
 
 def _curve(policy: Measured) -> np.ndarray | None:
-    """Speed reached, cost and its interval's ends of a policy, (4, speeds), slowest first; None where nobody walked."""
+    """Speed reached, cost and its interval's ends of a policy, (4, speeds), slowest first; None if no robot walked."""
     rows = [row for row in policy.content["speeds"] if row["torque_sq"] and row["speed"]]
     points = sorted((row["speed"][0], *row["torque_sq"]) for row in rows)
     return np.array(points).T if points else None

@@ -42,7 +42,7 @@ def write_report(runs: Sequence[Run], out: Path, files: dict[str, Path | None] |
 
 
 def read_results(files: dict[str, Path | None]) -> Results:
-    """What was measured beside the runs.
+    """Read the measurements outside the runs' folders.
 
     Raises:
         ArriveError: a file that was named is missing, or one is damaged or holds something else.

@@ -78,7 +78,7 @@ PITCH_RANGE = (-9.42477796077, 9.42477796077)
 """Of HFE and KFE: one and a half turns either way [rad]."""
 
 ROTOR_INERTIA = 0.1
-"""What a drive's rotor adds to its joint's inertia [kg m^2].
+"""Inertia that a drive's rotor adds to its joint [kg m^2].
 
 The ANYdrive's rotor is not published. Its harmonic drive has 1:50 (Hutter et al. 2016), so 120 N m of stall torque are
 2.4 N m at the rotor. A motor of that size is the Mini Cheetah's (3 N m, 63e-6 kg m^2 in its published model), which

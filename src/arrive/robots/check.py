@@ -1,4 +1,4 @@
-"""Whether a robot's model is what the rest of the software takes for granted."""
+"""Checks that a robot's model meets the assumptions of the rest of the software."""
 
 import mujoco
 
@@ -34,7 +34,7 @@ def _check_names(robot: Robot, model: mujoco.MjModel) -> None:
 
 
 def _problem(robot: Robot, model: mujoco.MjModel) -> str:
-    """What is wrong, or an empty string."""
+    """Description of the fault, or an empty string."""
     kinds, joints = model.jnt_type, tuple(model.joint(i).name for i in range(1, model.njnt))
     if (
         not model.njnt

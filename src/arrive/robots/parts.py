@@ -1,4 +1,4 @@
-"""What robots' specs are put together from: inertials, hinges and collision shapes."""
+"""Building blocks of robots' specs: inertials, hinges and collision shapes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -59,7 +59,7 @@ def show(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties: Any) -> None
 
 
 def show_collision_shapes(body: mujoco.MjsBody) -> None:
-    """Add what is looked at to a body and all that hangs on it: copies of their collision shapes."""
+    """Add visible copies of the collision shapes to a body and all its descendants."""
     for geom in [geom for geom in body.geoms if geom.group == COLLISION_GROUP]:
         show(body, geom.type, fromto=geom.fromto, pos=geom.pos, quat=geom.quat, size=geom.size, rgba=geom.rgba)
     for child in body.bodies:

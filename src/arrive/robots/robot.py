@@ -1,4 +1,4 @@
-"""What the rest of the software needs to know about a robot."""
+"""The description of a robot that the rest of the software needs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
