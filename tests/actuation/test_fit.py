@@ -136,6 +136,7 @@ class TestLogs:
             (3, 4, "nan", "row 5, column torque: 'nan' is no finite number"),
             (0, 1, "", "row 2, column target: '' is no finite number"),
             (7, 3, "fast", "row 9, column velocity: 'fast' is no finite number"),
+            (7, 3, "9" * 5000, f"row 9, column velocity: '{'9' * 59} is no finite number"),
             (5, 0, 0.035, "row 7, column time: 0.015 s after the row before, where the period is 0.005 s"),
             (5, 0, 0.02, "row 7, column time: 0 s after the row before"),
         ],

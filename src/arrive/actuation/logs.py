@@ -124,7 +124,7 @@ def _read_npz(path: Path) -> dict[str, _Columns]:
 def _need_columns(path: Path, names: list[str]) -> None:
     missing = [name for name in COLUMNS if name not in names]
     if missing:
-        raise ArriveError(f"{path}: no column {', '.join(missing)}; it has {', '.join(names) or 'none'}")
+        raise ArriveError(f"{path}: no column {', '.join(missing)}; it has {', '.join(names)[:200] or 'none'}")
 
 
 def _number(path: Path, row: int, name: str, text: str) -> float:
@@ -133,7 +133,7 @@ def _number(path: Path, row: int, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ArriveError(f"{path}, row {row}, column {name}: {text.strip()!r} is no finite number")
+        raise ArriveError(f"{path}, row {row}, column {name}: {text.strip()!r:.60} is no finite number")
     return value
 
 
