@@ -10,6 +10,7 @@ import torch
 from onnx import numpy_helper
 from tensordict import TensorDict
 
+import small_results
 from arrive.build import build_env
 from arrive.cli import main
 from arrive.deployment import Controller, ControlLog
@@ -78,8 +79,9 @@ def test_exported_file_explains_itself(exported, capsys):
 
 
 def test_evaluation_summary_travels_along(run, tmp_path):
-    summary = {"families": {"flat": {}}, "protocol": {"episodes": 5}, "commit": "abc"}
-    (tmp_path / "difficulty.json").write_text(json.dumps(summary | {"policy": {}}))
+    summary = small_results.difficulty()
+    (tmp_path / "difficulty.json").write_text(json.dumps(summary))
+    del summary["policy"]
     (tmp_path / "policy.pt").write_bytes((run / "policy.pt").read_bytes())
     export_policy(load_policy(tmp_path), tmp_path / "policy.onnx")
     assert read_policy_file(tmp_path / "policy.onnx").meta["evaluation"] == summary

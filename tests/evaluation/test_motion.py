@@ -125,7 +125,9 @@ def test_a_measured_run_gets_a_card(tmp_path):
     difficulty = json.loads((folder / "difficulty.json").read_text())
     # A fresh policy solves nothing, so there is no motion to tell of; the card says how it fails.
     motion = dict.fromkeys(UNITS, 0.123)
-    difficulty["policy"]["usage"]["gap"][0] |= {"episodes": 3, "motion": motion}
+    profile = {"time_s": [0.1], "mean_m_s": [0.5]}
+    figures = {"arrival_time_s": [3.0, 4.0, 5.0], "path_length_m": [5.0, 5.0, 5.0], "speed_profile": profile}
+    difficulty["policy"]["usage"]["gap"][0] |= figures | {"episodes": 3, "motion": motion}
     (folder / "difficulty.json").write_text(json.dumps(difficulty))
     run = read_run(folder)
     text = write_card(run, folder).read_text()
