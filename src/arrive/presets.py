@@ -67,7 +67,7 @@ def robust() -> Config:
             precision="auto",
             symmetry=True,
         ),
-        schedule=ScheduleConfig(enabled=True, decimation=2),
+        schedule=ScheduleConfig(enabled=True, decimation=3),
     )
 
 
