@@ -10,7 +10,7 @@ from arrive import cli
 from arrive.build import build_env
 from arrive.deployment import Controller, Joystick, Target
 from arrive.deployment.policy_file import read_policy_file
-from arrive.evaluation.gait import Record, describe_gait, foot_corners, foot_labels, gait_content
+from arrive.evaluation.gait import GaitRecording, describe_gait, foot_corners, foot_labels, gait_content
 from arrive.learning.policy import load_policy
 from arrive.recipe import make_config
 from arrive.render import pictures
@@ -118,7 +118,9 @@ def test_its_footfalls_are_a_tripod():
     second = ((time + 0.25) % 0.5 < 0.3)[:, None, None]
     contact = np.concatenate([first, second, first, second, first, second], axis=2).repeat(3, axis=1)
     ones = np.ones((300, 3))
-    record = Record(contact, np.stack([0.4 * ones, 0.0 * ones], axis=-1), 0.0 * ones, ones, np.ones(3, dtype=bool))
+    record = GaitRecording(
+        contact, np.stack([0.4 * ones, 0.0 * ones], axis=-1), 0.0 * ones, ones, np.ones(3, dtype=bool)
+    )
     row = {"told_m_s": 0.4, "direction_deg": 0.0} | describe_gait(record, foot_corners(HEXAPOD), 0.02)
     assert row["gait"] == "tripod"
     feet = foot_labels(HEXAPOD)

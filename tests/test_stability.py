@@ -88,8 +88,8 @@ class TestTraining:
 
     def test_figures_of_the_critic_are_means_over_the_last_tenth(self, training):
         training.folder.mkdir()
-        rows = [f"{i},{i * 100},{0.1 * i},{i}" for i in range(1, 21)]
-        head = "iteration,progress/samples,learning/explained_variance,learning/value"
+        rows = [f"{i},{i * 100},{i},{0.1 * i},{i}" for i in range(1, 21)]
+        head = "iteration,progress/samples,progress/elapsed_s,learning/explained_variance,learning/value"
         (training.folder / "log.csv").write_text("\n".join([head, *rows]) + "\n")
         critic = training.critic()
         assert critic["explained_variance"] == pytest.approx(1.95)
