@@ -237,7 +237,7 @@ def test_long_steps_suit_the_robots_joint_limits(monkeypatch):
         return spec
 
     monkeypatch.setitem(ROBOTS, "hard", replace(robot, name="hard", build_spec=hard))
-    assert robust().schedule.decimation == for_robot(robust(), robot).schedule.decimation == 2
+    assert robust().schedule.decimation == for_robot(robust(), robot).schedule.decimation == 3
     config = for_robot(robust(), ROBOTS["hard"])
     assert config.schedule.decimation == 4
     with pytest.raises(ArriveError, match=r"schedule.decimation must be 0, or at least 4: the limits .* not 3"):
