@@ -8,10 +8,8 @@ run it is measured how many CPUs others keep busy: the figures of "alone" mean s
 """
 
 import contextlib
-import json
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +17,7 @@ from statistics import median
 from typing import Any
 
 import tyro
+from trainings import bench, markdown
 
 from arrive.files import write_json
 from arrive.learning.rundir import commit
@@ -58,13 +57,9 @@ def busy(count: int) -> Iterator[None]:
 def measure(arguments: Arguments, threads: str) -> dict[str, float]:
     """One round of `arrive bench`: training throughput [samples/s], and how many CPUs others kept busy before it."""
     others = busy_cpus()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bench.json"
-        command = [sys.executable, "-m", "arrive.cli", "bench", arguments.terrain, "--rounds", "1", "--json", str(path)]
-        command += ["--num-envs", str(arguments.num_envs), *THREADS[threads]]
-        command += ["--set", *arguments.set] if arguments.set else []
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        return {"rate": json.loads(path.read_text())[RATE], "busy_cpus": others}
+    options = ["--rounds", "1", "--num-envs", str(arguments.num_envs), *THREADS[threads]]
+    options += ["--set", *arguments.set] if arguments.set else []
+    return {"rate": bench(arguments.terrain, *options)[RATE], "busy_cpus": others}
 
 
 def summary(rounds: list[dict[str, float]]) -> dict[str, Any]:
@@ -82,12 +77,12 @@ def main(arguments: Arguments) -> None:
             with busy(arguments.neighbours if place == "busy" else 0):
                 cases[place, threads].append(measure(arguments, threads))
     results = {f"{place}, {threads}": summary(rounds) for (place, threads), rounds in cases.items()}
-    print("| neighbours | threads | median [samples/s] | least to most | CPUs busy before it |")
-    print("|---|---|---|---|---|")
+    rows = []
     for (place, threads), result in zip(cases, results.values(), strict=True):
         count = arguments.neighbours if place == "busy" else 0
-        rates = f"{result['median']:,.0f} | {result['least']:,.0f} to {result['most']:,.0f}"
-        print(f"| {count} | {threads} | {rates} | {result['busy_cpus']:.2f} |")
+        rates = f"{result['median']:,.0f}", f"{result['least']:,.0f} to {result['most']:,.0f}"
+        rows.append([str(count), threads, *rates, f"{result['busy_cpus']:.2f}"])
+    print(markdown(["neighbours", "threads", "median [samples/s]", "least to most", "CPUs busy before it"], rows))
     for place in ("alone", "busy"):
         ratio = results[f"{place}, one"]["median"] / results[f"{place}, default"]["median"]
         print(f"{place}: the default threads take {ratio:.2f} times as long as one")

@@ -7,13 +7,11 @@ as keep its samples the same.
 """
 
 import json
-import subprocess
-import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+from trainings import bench
 
 
 @dataclass
@@ -32,15 +30,11 @@ class Arguments:
 
 def measure(arguments: Arguments, num_envs: int, threads: int) -> dict:
     """One call of `arrive bench`."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bench.json"
-        command = [sys.executable, "-m", "arrive.cli", "bench", arguments.terrain, "--num-envs", str(num_envs)]
-        command += ["--threads", str(threads), "--rounds", str(arguments.rounds), "--json", str(path)]
-        command += ["--set", f"ppo.num_steps={max(1, arguments.samples // num_envs)}"]
-        if arguments.start_from is not None:
-            command += ["--start-from", str(arguments.start_from)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        return json.loads(path.read_text())
+    options = ["--num-envs", str(num_envs), "--threads", str(threads), "--rounds", str(arguments.rounds)]
+    options += ["--set", f"ppo.num_steps={max(1, arguments.samples // num_envs)}"]
+    if arguments.start_from is not None:
+        options += ["--start-from", str(arguments.start_from)]
+    return bench(arguments.terrain, *options)
 
 
 def main(arguments: Arguments) -> None:

@@ -1,11 +1,13 @@
 """Trainings that differ in a few settings: each is begun, continued and measured once, by whichever call gets to it.
 
-`stability.py` and `time_window.py` share this; `from_scratch.py` its command line and tables.
+`stability.py` and `time_window.py` share this; `from_scratch.py` its command line and tables, `scaling.py` and
+`busy.py` its throughput.
 """
 
 import shlex
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,6 +102,14 @@ class Training:
 def arrive(*arguments: str) -> None:
     """Run the command line."""
     subprocess.run([sys.executable, "-m", "arrive.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def bench(*arguments: str) -> dict[str, Any]:
+    """Result of `arrive bench`, run in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.json"
+        arrive("bench", *arguments, "--json", str(path))
+        return read_json(path)
 
 
 def command() -> str:
