@@ -45,12 +45,6 @@ SAMPLES = 6
 """States of every robot that the engines are compared in."""
 
 
-def own_world(config: PhysicsConfig) -> mujoco.MjModel:
-    """Flat ground that no other engine has."""
-    tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
-    return compile_world(ROBOT, tile, config)
-
-
 @cache
 def world(family: str, config: PhysicsConfig = ONE_STEP, friction: float = 0.8, payload: float = 3.0) -> mujoco.MjModel:
     kind = FAMILIES[family]
@@ -280,10 +274,10 @@ class TestEngine:
     def test_long_steps_are_those_of_an_engine_made_for_them(self):
         """And back again. Bit for bit on the CPU device."""
         standard = PhysicsConfig()
-        changed = WarpPhysics(ROBOT, [own_world(standard)], standard, 4, CPU)
+        changed = WarpPhysics(ROBOT, [world.__wrapped__("flat", standard)], standard, 4, CPU)
         for config in (with_decimation(standard, 2), standard):
             changed.set_decimation(config.decimation)
-            made = WarpPhysics(ROBOT, [own_world(config)], config, 4, CPU)
+            made = WarpPhysics(ROBOT, [world.__wrapped__("flat", config)], config, 4, CPU)
             for engine in (changed, made):
                 engine.reset(torch.arange(4), *standing(4, ROBOT.standing_height))
                 for step in range(8):

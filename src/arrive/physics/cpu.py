@@ -11,7 +11,7 @@ from torch import Tensor
 from arrive.actuation.network_motors import NetworkMotors
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
 from arrive.physics.engine import STATE_FIELDS, Readings
-from arrive.physics.options import PhysicsConfig, set_steps, with_decimation
+from arrive.physics.options import PhysicsConfig, change_decimation
 from arrive.physics.world import sensor_layout
 from arrive.robots.robot import Robot
 
@@ -64,9 +64,7 @@ class CpuPhysics:
     def set_decimation(self, decimation: int) -> None:
         if decimation == self.decimation:
             return
-        config = with_decimation(self._config, decimation)
-        for world in self._worlds:
-            set_steps(world, config)
+        change_decimation(self._worlds, self._config, decimation)
         self.decimation, self._moved = decimation, True
 
     def place(self, env_ids: Tensor, world_ids: Tensor) -> None:

@@ -1,5 +1,6 @@
 """Settings of the physics step."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -115,7 +116,10 @@ def with_decimation(config: PhysicsConfig, decimation: int) -> PhysicsConfig:
     return replace(config, timestep_s=timestep_s, decimation=decimation, contact_time_s=contact_time_s)
 
 
-def set_steps(model: mujoco.MjModel, config: PhysicsConfig) -> None:
-    """Give a compiled world, in place, the physics step and the contacts of a configuration."""
-    model.opt.timestep = config.timestep_s
-    model.geom_solref[:, 0] = config.contact_time_s
+def change_decimation(worlds: Iterable[mujoco.MjModel], config: PhysicsConfig, decimation: int) -> PhysicsConfig:
+    """Give compiled worlds, in place, the step and contacts of `with_decimation`. Returns that configuration."""
+    config = with_decimation(config, decimation)
+    for world in worlds:
+        world.opt.timestep = config.timestep_s
+        world.geom_solref[:, 0] = config.contact_time_s
+    return config

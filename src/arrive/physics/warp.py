@@ -16,7 +16,7 @@ from arrive.actuation.network import ActuatorNetwork
 from arrive.errors import ArriveError
 from arrive.physics.divergence import MAX_SPEED
 from arrive.physics.engine import STATE_FIELDS, Readings
-from arrive.physics.options import PhysicsConfig, set_steps, with_decimation
+from arrive.physics.options import PhysicsConfig, change_decimation
 from arrive.physics.template import build_template, differing_fields, static_geoms
 from arrive.physics.warp_contacts import ContactCount, drop_false_contacts
 from arrive.physics.warp_motors import WarpMotors
@@ -162,9 +162,7 @@ class WarpPhysics:
     def set_decimation(self, decimation: int) -> None:
         if decimation == self.decimation:
             return
-        config = with_decimation(self._config, decimation)
-        for world in self._worlds:
-            set_steps(world, config)
+        config = change_decimation(self._worlds, self._config, decimation)
         wp.to_torch(self._model.opt.timestep).fill_(config.timestep_s)
         wp.to_torch(self._model.geom_solref)[..., 0] = config.contact_time_s
         self.decimation = decimation

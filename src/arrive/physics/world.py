@@ -132,7 +132,7 @@ def _add_payload(spec: mujoco.MjSpec, robot: Robot, payload_kg: float) -> None:
     """
     base = spec.body(robot.base_body)
     if np.isnan(base.ipos[0]):  # MuJoCo then sums up the geoms
-        alone = robot.build_spec(False).compile().body(robot.base_body)
+        alone = robot.model.body(robot.base_body)
         base.mass, base.ipos, base.iquat, base.inertia = alone.mass[0], alone.ipos, alone.iquat, alone.inertia
         base.explicitinertial = True
     scale = (base.mass + payload_kg) / base.mass
