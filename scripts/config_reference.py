@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pages import write_or_check
 
-from arrive.commands import known
+from arrive.commands.known import FILE, collect
 from arrive.fields import Row, rows
 from arrive.presets import PRESETS
 from arrive.task.registry import TASKS
@@ -54,7 +54,7 @@ def page() -> str:
 
 def listing() -> str:
     """What `arrive list` and the help of `arrive train` print without loading the code."""
-    return json.dumps(known.collect(), indent=1) + "\n"
+    return json.dumps(collect(), indent=1) + "\n"
 
 
 def section_of(row: Row) -> str:
@@ -79,4 +79,4 @@ def table(fields: list[tuple[Row, str]]) -> str:
 
 
 if __name__ == "__main__":
-    write_or_check({PAGE: page(), known.FILE: listing()})
+    write_or_check({PAGE: page(), FILE: listing()})

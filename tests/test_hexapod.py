@@ -10,7 +10,7 @@ from arrive import cli
 from arrive.build import build_env
 from arrive.deployment import Controller, Joystick, Target
 from arrive.deployment.policy_file import read_policy_file
-from arrive.evaluation.gait import GaitRecording, describe_gait, foot_corners, foot_labels, gait_content
+from arrive.evaluation.gait import GaitRecording, describe_gait, foot_labels, gait_content
 from arrive.learning.policy import load_policy
 from arrive.recipe import make_config
 from arrive.render import pictures
@@ -121,7 +121,7 @@ def test_its_footfalls_are_a_tripod():
     record = GaitRecording(
         contact, np.stack([0.4 * ones, 0.0 * ones], axis=-1), 0.0 * ones, ones, np.ones(3, dtype=bool)
     )
-    row = {"told_m_s": 0.4, "direction_deg": 0.0} | describe_gait(record, foot_corners(HEXAPOD), 0.02)
+    row = {"told_m_s": 0.4, "direction_deg": 0.0} | describe_gait(record, HEXAPOD.foot_corners(), 0.02)
     assert row["gait"] == "tripod"
     feet = foot_labels(HEXAPOD)
     assert feet == ["LF", "LM", "LH", "RF", "RM", "RH"]

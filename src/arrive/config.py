@@ -6,7 +6,6 @@ ranges of all fields before anything is built.
 
 import math
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -147,9 +146,9 @@ class Config:
     def rules(self) -> tuple[Rule, ...]:
         """Conditions between fields."""
         batch, families = self.num_envs * self.ppo.num_steps, len(self.terrain.families)
-        mass, step = base_mass(self.robot), self.physics.control_dt
-        fewest = fewest_steps(get_robot(self.robot), step)
-        offset, level = self.randomisation.start_offset, START_RADIUS * get_robot(self.robot).size
+        robot, step = get_robot(self.robot), self.physics.control_dt
+        mass, fewest = base_mass(robot), fewest_steps(robot, step)
+        offset, level = self.randomisation.start_offset, START_RADIUS * robot.size
         return (
             Rule("ppo.mini_batches", f"at most the batch of {batch}", self.ppo.mini_batches <= batch),
             Rule("num_envs", f"at least the number of terrain families, {families}", self.num_envs >= families),
@@ -173,17 +172,14 @@ class Config:
         )
 
 
-@cache
-def base_mass(robot: str) -> float:
+def base_mass(robot: Robot) -> float:
     """Mass of a robot's base without payload [kg]."""
-    built = get_robot(robot)
-    return float(built.build_spec(False).compile().body(built.base_body).mass[0])
+    return float(robot.model.body(robot.base_body).mass[0])
 
 
-@cache
 def fewest_steps(robot: Robot, control_dt: float) -> int:
     """Fewest physics steps per policy step for which MuJoCo takes the robot's joint limits as they are."""
-    model = robot.build_spec(False).compile()
+    model = robot.model
     time_s = model.jnt_solref[model.jnt_limited.astype(bool), 0]
     shortest = time_s[time_s > 0.0].min(initial=math.inf)
     return max(math.ceil(LEAST_TIME_STEPS * control_dt / shortest - 1e-9), 1)

@@ -21,7 +21,6 @@ from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box, Tile
 
 if TYPE_CHECKING:
     from arrive.config import Config
-    from arrive.robots.robot import Robot
 
 DROP = 0.02
 """Robots of ANYmal C's size start this much above standing height [m]."""
@@ -102,7 +101,7 @@ class SimulatedRobot:
         self._crash_sensors = sensor_layout(self.robot).crash_contacts
         edges = [abs(box.center[axis]) + box.half_size[axis] for box in tile.boxes for axis in (0, 1)]
         self._reach = tile.height_field.half_extent if tile.height_field is not None else max(edges)
-        self._feet_radius = _feet_radius(self.robot, self.model)
+        self._feet_radius = float(np.hypot(*self.robot.foot_corners().T).max())
         self.reset()
 
     def reset(self, position: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> None:
@@ -217,11 +216,3 @@ class SimulatedRobot:
         cells = first[:, None] + np.arange(round(2 * half / RASTER_CELL) + 1)
         x, y = np.clip(cells, 0, RASTER_SIZE - 1)
         return first * RASTER_CELL - RASTER_HALF, self.tile.heights[np.ix_(x, y)]
-
-
-def _feet_radius(robot: Robot, model: mujoco.MjModel) -> float:
-    """Largest horizontal distance of a foot from the base at the default pose [m]."""
-    data = mujoco.MjData(model)
-    data.qpos[7:] = robot.default_joint_pos
-    mujoco.mj_kinematics(model, data)
-    return max(float(np.hypot(*(data.site(foot).xpos - data.qpos[:3])[:2])) for foot in robot.foot_sites)

@@ -9,7 +9,6 @@ from arrive.evaluation.gait import (
     GaitRecording,
     check_gait_arguments,
     describe_gait,
-    foot_corners,
     foot_labels,
     gait_content,
 )
@@ -154,7 +153,7 @@ def test_nobody_walks():
 def test_feet_of_a_robot():
     robot = get_robot("anymal_c")
     assert foot_labels(robot) == ["LF", "LH", "RF", "RH"]
-    assert (np.sign(foot_corners(robot)) == np.sign(CORNERS)).all()
+    assert (np.sign(robot.foot_corners()) == np.sign(CORNERS)).all()
 
 
 def test_bars_of_the_diagram():

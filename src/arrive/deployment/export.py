@@ -123,12 +123,11 @@ def policy_sections(config: Config) -> dict[str, Any]:
 
 
 def _describe_robot(robot: Robot) -> dict[str, Any]:
-    model = robot.build_spec(False).compile()
     return {
         "name": robot.name,
         "joint_names": robot.joint_names,
         "default_joint_pos_rad": robot.default_joint_pos,
-        "joint_limits_rad": [model.joint(name).range.tolist() for name in robot.joint_names],
+        "joint_limits_rad": [robot.model.joint(name).range.tolist() for name in robot.joint_names],
         "action_scale_rad": robot.action_scale,
         **{name: _one_or_each([getattr(motor, name) for motor in robot.motors]) for name in MOTOR_FIGURES},
         "standing_height_m": robot.standing_height,

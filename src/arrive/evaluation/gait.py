@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 
@@ -70,7 +69,7 @@ def measure_gait(
     check_gait_arguments(commands, robots, seconds)
     env = walking_env(policy, list(commands), robots, SETTLE_S + seconds, seed, threads)
     record = walk_steadily(env, policy, seconds, progress)
-    corners = foot_corners(env.robot)
+    corners = env.robot.foot_corners()
     rows = []
     for index, heading in enumerate(commands):
         mine = slice(index * robots, (index + 1) * robots)
@@ -143,7 +142,7 @@ def describe_gait(record: GaitRecording, corners: np.ndarray, dt: float) -> dict
     foot is the one that stands longest.
 
     Args:
-        corners: (feet, 2) as `foot_corners`.
+        corners: (feet, 2) as `Robot.foot_corners`.
         dt: time between rows of the record [s].
     """
     speed = np.linalg.norm(record.velocity.mean(0), axis=-1)
@@ -228,17 +227,6 @@ def _interval(values: np.ndarray) -> list[float]:
     interval = mean(torch.from_numpy(values.astype(float)))
     assert interval is not None
     return [round(value, 5) for value in interval]
-
-
-def foot_corners(robot: Robot) -> np.ndarray:
-    """(feet, 2) places of the feet under the robot in its default pose, forward and left of the base [m]."""
-    model = robot.build_spec(False).compile()
-    data = mujoco.MjData(model)
-    for name, position in zip(robot.joint_names, robot.default_joint_pos, strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = position
-    mujoco.mj_kinematics(model, data)
-    base = data.body(robot.base_body).xpos
-    return np.array([data.site(site).xpos - base for site in robot.foot_sites])[:, :2]
 
 
 def foot_labels(robot: Robot) -> list[str]:

@@ -38,8 +38,7 @@ class MotionMeter:
     def __init__(self, env: ArriveEnv):
         """Start with nothing seen."""
         robot = env.robot
-        model = robot.build_spec(False).compile()
-        ranges = np.array([model.joint(name).range for name in robot.joint_names], dtype=np.float32)
+        ranges = np.array([robot.model.joint(name).range for name in robot.joint_names], dtype=np.float32)
         self._range = torch.from_numpy(ranges).to(env.device)
         self._effort_limit = torch.tensor([motor.effort_limit for motor in robot.motors], device=env.device)
         self._rate = robot.action_scale / env.control_dt

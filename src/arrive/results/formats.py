@@ -4,10 +4,9 @@ from collections.abc import Callable
 from typing import Annotated, Any, NotRequired, TypedDict
 
 from arrive.errors import ArriveError
-from arrive.fields import Range
+from arrive.fields import Range, Share
 from arrive.results.check import check_data
 
-Share = Annotated[float, Range(0.0, 1.0)]
 NotNegative = Annotated[float, Range(0.0, 1e9)]
 Positive = Annotated[float, Range(0.0, 1e9, above=True)]
 Value = Annotated[float, Range(-1e9, 1e9)]
@@ -163,7 +162,7 @@ class Shipped(TypedDict):
     config: ShippedConfig
 
 
-class Errand(TypedDict):
+class AtDistance(TypedDict):
     """Success at one distance and time."""
 
     distance_m: NotNegative
@@ -175,7 +174,7 @@ class Errand(TypedDict):
     stood_at_m: NotRequired[NotNegative]
 
 
-class Around(TypedDict):
+class InDirection(TypedDict):
     """Success in one direction."""
 
     direction_deg: Value
@@ -201,8 +200,8 @@ class Reached(TypedDict):
     """One terrain family of reach.json."""
 
     value: Value
-    distances: list[Errand]
-    directions: list[Around]
+    distances: list[AtDistance]
+    directions: list[InDirection]
     waiting: Waiting
 
 

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
+import numpy as np
 
 from arrive.actuation import Motor
 from arrive.errors import ArriveError, unknown_name
@@ -78,6 +80,20 @@ class Robot:
         if joint is not None and joint not in self.joint_names:
             raise unknown_name(f"joint of {self.name}", joint, self.joint_names)
         return self.motors[0 if joint is None else self.joint_names.index(joint)]
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The robot alone, compiled once for all who read from it. Do not change it."""
+        return self.build_spec(False).compile()
+
+    def foot_corners(self) -> np.ndarray:
+        """(feet, 2) places of the feet under the robot in its default pose, forward and left of the base [m]."""
+        data = mujoco.MjData(self.model)
+        for name, position in zip(self.joint_names, self.default_joint_pos, strict=True):
+            data.qpos[self.model.joint(name).qposadr[0]] = position
+        mujoco.mj_kinematics(self.model, data)
+        base = data.body(self.base_body).xpos
+        return np.array([data.site(site).xpos - base for site in self.foot_sites])[:, :2]
 
     def _problem(self) -> str:
         """What does not fit together, or an empty string."""
