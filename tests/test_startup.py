@@ -9,7 +9,7 @@ import time
 import pytest
 
 from arrive.learning.checkpoint import load_checkpoint
-from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
+from arrive.startup import INTERRUPTED, UNREAD, interrupt_again, leave_at_once
 
 PROGRAM = """
 import os, sys
@@ -108,3 +108,14 @@ def test_only_what_startup_has_set_is_set_back():
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("words", [("list", "config"), ("list",), ("--help",), ("train", "--help"), ("--version",)])
+def test_a_reader_that_has_gone_is_no_error(words):
+    """As with `arrive list config | head -1`."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "arrive", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait() in (1, UNREAD)

@@ -1,6 +1,6 @@
 """The program `arrive`. It also runs on a robot's computer without the libraries of the command line."""
 
-from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
+from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once, leave_unread
 
 leave_at_once()  # before anything else is loaded
 
@@ -12,9 +12,12 @@ def main() -> None:
     """Run a command. Only `verify` works with NumPy and onnxruntime alone."""
     try:
         _run()
+        sys.stdout.flush()
     except KeyboardInterrupt:
         print("arrive: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        leave_unread()
     finally:
         leave_at_once()  # libraries are stopping their threads
 

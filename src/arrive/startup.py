@@ -1,4 +1,4 @@
-"""Handles Ctrl-C while the program starts and ends.
+"""Handles Ctrl-C while the program starts and ends, and a reader of its output that has gone.
 
 Loading libraries takes seconds. A KeyboardInterrupt during an import does not work well, because C libraries turn it
 into errors of their own. There is nothing to save at that time, so the program exits at once with one line.
@@ -9,6 +9,8 @@ import signal
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as in shells: 128 plus the signal number."""
+UNREAD = 141
+"""Exit status when nobody reads the output any more, as in shells: 128 plus the number of SIGPIPE."""
 
 
 def _leave(number: int, frame: object) -> None:
@@ -25,3 +27,8 @@ def interrupt_again() -> None:
     """Make Ctrl-C raise KeyboardInterrupt again, if `leave_at_once` was called."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def leave_unread() -> None:
+    """End the process without a word: whoever read its output has gone, such as the `head` of `arrive list | head`."""
+    os._exit(UNREAD)
