@@ -182,6 +182,11 @@ class ArriveEnv(VecEnv):
         """(num_envs, joints) joint targets of actions [rad]."""
         return self._default_joint_pos + self.robot.action_scale * actions
 
+    def begin_episodes(self, env_ids: Tensor) -> None:
+        """End these robots' episodes without a result, and start the next ones."""
+        self._reset(env_ids, first=False)
+        self._look_again()
+
     def deactivate(self, env_ids: Tensor) -> None:
         """Stop simulating these robots, because an evaluation does not need them any more."""
         self.memory.inactive[env_ids] = True

@@ -14,6 +14,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from arrive.errors import ArriveError
 from arrive.gym import environment_id
+from arrive.render.graphics import GraphicsUnavailable, graphics_backend
 from arrive.terrain import FAMILIES
 
 SMALL = ("terrain.levels=2", "terrain.variants=1")
@@ -209,13 +210,139 @@ def test_mistakes_are_named():
         ({"task": "fly"}, "unknown task"),
         ({"overrides": ("ppo.gama=1",)}, "gamma"),
         ({"num_envs": 0}, "num_envs"),
+        ({"render_mode": "human"}, "render_mode"),
+        ({"autoreset_mode": "Disabled"}, "NEXT_STEP"),
     ):
         with pytest.raises(ArriveError, match=part):
             make(**mistake)
     envs = make()
     envs.reset(seed=1)
-    for actions in (np.zeros((3, 12)), np.full((4, 12), np.nan)):
-        with pytest.raises(ArriveError, match=r"\(4, 12\) finite"):
+    for actions, part in (
+        (np.zeros((3, 12)), r"the shape \(4, 12\), not \(3, 12\)"),
+        (np.full((4, 12), np.nan), "NaN"),
+    ):
+        with pytest.raises(ArriveError, match=part):
             envs.step(actions)
     with pytest.raises(ArriveError, match="no options"):
         envs.reset(options={"reset_mask": np.ones(4, dtype=bool)})
+
+
+def test_ends_are_shown_at_once_and_starts_in_the_next_step():
+    """As `SyncVectorEnv` does with `NEXT_STEP`, which wrappers of Gymnasium rely on."""
+    same, later = (
+        make(num_envs=3, level=0, overrides=SHORT, autoreset_mode=mode) for mode in ("SAME_STEP", "NextStep")
+    )
+    assert later.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    starts = [envs.reset(seed=4)[0] for envs in (same, later)]
+    np.testing.assert_array_equal(*starts)
+    for first, second in zip(rollout(same, 20), rollout(later, 20), strict=True):
+        np.testing.assert_array_equal(first[1], second[1])
+        ended = first[2]
+    assert ended.all()
+    assert second[2].all()
+    np.testing.assert_array_equal(np.stack(first[4]["final_obs"]), second[0])
+    assert layout(second[4]) == layout(first[4]["final_info"])
+    observations, rewards, terminated, truncated, info = later.step(np.ones((3, 12)))
+    assert not rewards.any()
+    assert not terminated.any()
+    assert not truncated.any()
+    assert info == {}
+    assert (later.unwrapped._env.episode_length_buf == 0).all(), "the step only starts the episode"
+    joints, command = slice(13, 25), 12
+    assert (np.abs(observations - second[0])[:, joints].max(1) > 0.01).all()
+    assert (observations[:, command] > second[0][:, command]).all(), "time left"
+
+
+def test_an_episode_with_next_step_is_as_long_as_with_same_step():
+    envs = make(num_envs=2, level=0, overrides=SHORT, autoreset_mode=AutoresetMode.NEXT_STEP)
+    envs.reset(seed=1)
+    ends = [step[2].all() for step in rollout(envs, 62)]
+    assert [step + 1 for step, end in enumerate(ends) if end] == [20, 41, 62]
+
+
+def single(**options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return gymnasium.make("arrive/Flat-v0", overrides=SHORT, threads=1, **options)
+
+
+def test_a_single_environment_passes_gymnasiums_checks():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Both spaces are in the policy's own units.
+        warnings.filterwarnings("ignore", "(?s).*(normalized space|infinity)")
+        env_checker.check_env(single(level=0).unwrapped, skip_render_check=True)
+
+
+def test_a_single_environment_ends_with_its_result():
+    env = single()
+    for seed in (3, None):  # levels follow success, and no episode is a shortened one
+        env.reset(seed=seed)
+        steps = [env.step(np.zeros(12)) for _ in range(20)]
+        assert [step[2] for step in steps] == [False] * 19 + [True]
+        assert set(steps[-1][4]) == {"is_success", "level", "distance", "failure"}
+    with pytest.raises(ArriveError, match="call reset"):
+        env.step(np.zeros(12))
+    env.reset()
+    with pytest.raises(ArriveError, match=r"\(12,\)"):
+        env.step(np.zeros((1, 12)))
+
+
+def test_bounds_of_actions_are_finite():
+    env = single()
+    assert np.isfinite(env.action_space.high).all()
+    assert (env.action_space.low == -env.action_space.high).all()
+    assert env.action_space.high * env.unwrapped._robots._env.robot.action_scale == pytest.approx(np.full(12, np.pi))
+
+
+def test_pictures_follow_the_robots():
+    try:
+        graphics_backend()
+    except GraphicsUnavailable:
+        pytest.skip("this machine cannot draw")
+    env = single(render_mode="rgb_array", level=0)
+    env.reset(seed=1)
+    first = env.render()
+    assert first.shape == (432, 768, 3)
+    assert first.dtype == np.uint8
+    for _ in range(15):
+        env.step(np.full(12, 1.0))
+    assert np.abs(env.render().astype(int) - first).mean() > 1.0
+    env.close()
+    envs = make("arrive/Stairs-v0", num_envs=2, render_mode="rgb_array")
+    envs.reset(seed=1)
+    assert [picture.shape for picture in envs.render()] == [(432, 768, 3)] * 2
+    envs.close()
+    assert make().render() is None
+
+
+def test_stable_baselines_trains():
+    sb3 = pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+    from arrive.gym.sb3 import StableBaselinesEnv
+
+    envs = StableBaselinesEnv(4, terrain="flat", overrides=SHORT, threads=1)
+    model = sb3.PPO("MlpPolicy", envs, n_steps=32, batch_size=64, n_epochs=1, seed=1, device="cpu")
+    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+    model.learn(256)
+    assert model.num_timesteps == 256
+    assert any((old != new).any() for old, new in zip(before, model.policy.parameters(), strict=True))
+    assert len(model.ep_success_buffer) >= 8, "results of episodes are logged"
+
+
+def test_stable_baselines_gets_the_last_observation_of_an_episode():
+    pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+    from arrive.gym.sb3 import StableBaselinesEnv
+
+    ours = make(num_envs=2, level=0, task="velocity", overrides=(*SMALL, "task.episode_s=0.4"))
+    theirs = StableBaselinesEnv(2, level=0, task="velocity", overrides=(*SMALL, "task.episode_s=0.4"), threads=1)
+    theirs.seed(7)
+    np.testing.assert_array_equal(ours.reset(seed=7)[0], theirs.reset())
+    for _ in range(20):
+        observations, _, _, truncated, info = ours.step(np.zeros((2, 12)))
+        observed, _, dones, infos = theirs.step(np.zeros((2, 12)))
+    np.testing.assert_array_equal(observations, observed)
+    assert truncated.all()
+    assert dones.all()
+    for robot, told in enumerate(infos):
+        assert told["TimeLimit.truncated"]
+        np.testing.assert_array_equal(told["terminal_observation"], info["final_obs"][robot])

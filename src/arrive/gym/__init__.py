@@ -1,10 +1,11 @@
-"""The tasks as Gymnasium vector environments, one per terrain family and one with all of them.
+"""The tasks as Gymnasium environments, one per terrain family and one with all of them.
 
     import gymnasium
     import arrive.gym
 
     gymnasium.register_envs(arrive.gym)
     envs = gymnasium.make_vec("arrive/Gap-v0", num_envs=64)
+    env = gymnasium.make("arrive/Gap-v0", render_mode="rgb_array")
 
 Importing this module registers them; Gymnasium itself finds environments of other packages in no other way. What an
 environment is made of is imported when the first one is made.
@@ -27,6 +28,7 @@ def _register() -> None:
         if environment_id(family) not in gymnasium.registry:
             gymnasium.register(
                 id=environment_id(family),
+                entry_point="arrive.gym.single:ArriveSingleEnv",
                 vector_entry_point="arrive.gym.vector:ArriveVectorEnv",
                 kwargs={"terrain": family},
             )

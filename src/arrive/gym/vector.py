@@ -1,6 +1,8 @@
 """`ArriveEnv` behind Gymnasium's interface of vector environments."""
 
-from typing import Any
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -13,28 +15,38 @@ from arrive.build import Placement, build_env
 from arrive.config import Config
 from arrive.env import POLICY, Finished
 from arrive.errors import ArriveError
+from arrive.gym.pictures import LivePictures
 from arrive.recipe import make_config
 from arrive.task.curriculum import assign_families
 from arrive.terrain import parse_families
 from arrive.terrain.levels import level_values
 
+RenderMode = Literal["rgb_array"]
+METADATA = {"render_modes": ["rgb_array"], "render_fps": 50}
+"""Of every environment. A configuration may have another rate."""
+FARTHEST_TARGET_RAD = math.pi
+"""Bound of actions: a joint target this far from the default pose."""
+
 
 class ArriveVectorEnv(VectorEnv):
     """Robots that must reach places by given times.
 
-    Observations are (num_envs, size) float32, scaled and noisy as in training; actions are (num_envs, joints) joint
-    targets relative to the default pose in units of the robot's action scale, without bounds: the motors limit them.
+    Observations are (num_envs, size) float32, scaled and noisy as in training. Actions are (num_envs, joints) joint
+    targets relative to the default pose, in units of the robot's action scale. Their bounds are half a turn from the
+    default pose; actions beyond them are not clipped, because motors limit the torque.
 
-    A robot whose episode ends starts the next one in the same step (`AutoresetMode.SAME_STEP`). The observation is
-    then the new episode's; `info["final_obs"]` has the last one of the old episode and `info["final_info"]` has
-    `is_success`, `level`, `distance` (what was left of the way [m]) and `failure` (its cause, empty for a success).
+    With `AutoresetMode.SAME_STEP` (default), a robot whose episode ends starts the next one in the same step. The
+    observation is then the new episode's; `info["final_obs"]` has the last one of the old episode, and
+    `info["final_info"]` its result: `is_success`, `level`, `distance` (to the target [m]) and `failure` (its cause,
+    empty for a success). With `NEXT_STEP`, the observation is the old episode's, `info` itself has the result, and the
+    robot's next step only starts the new episode: its action is ignored and its reward is 0.
 
     A crash or fall terminates an episode. So does the end of its time, because the remaining time is observed and the
     task is over (paper, section Method). Where time is not observed (the task `velocity`), the end of time
     truncates.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012 (Gymnasium's type)
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
         self,
@@ -46,6 +58,8 @@ class ArriveVectorEnv(VectorEnv):
         overrides: tuple[str, ...] = (),
         threads: int = 0,
         robot: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        render_mode: RenderMode | None = None,
     ):
         """Build terrain and robots.
 
@@ -59,16 +73,28 @@ class ArriveVectorEnv(VectorEnv):
                 the terrain; the seed of `reset` does not.
             threads: physics threads; 0 takes every CPU.
             robot: named robot; `anymal_c` by default.
+            autoreset_mode: `SAME_STEP` or `NEXT_STEP`, or the value of one.
+            render_mode: `rgb_array` for `render`; None for no pictures.
 
         Raises:
             ArriveError: an unknown name or value out of range.
         """
+        self._next_step = _autoreset(autoreset_mode) is AutoresetMode.NEXT_STEP
+        if render_mode not in (None, "rgb_array"):
+            raise ArriveError(f"render_mode must be 'rgb_array' or None, not {render_mode!r}")
         config = make_config(parse_families(terrain), preset, task, num_envs, None, tuple(overrides), robot)
         self.num_envs = config.num_envs
         self._env = build_env(config, _placement(config, level), threads)
         self._env.final_observations = True
-        self.single_observation_space = _numbers(self._env.observer.size)
-        self.single_action_space = _numbers(self._env.num_actions)
+        self._waiting = np.zeros(self.num_envs, dtype=bool)
+        """Robots whose next step starts an episode, with `NEXT_STEP`."""
+        self.render_mode = render_mode
+        rates = {"autoreset_mode": _autoreset(autoreset_mode), "render_fps": round(1.0 / self._env.control_dt)}
+        self.metadata = METADATA | rates
+        self._pictures = None if render_mode is None else LivePictures(self._env)
+        bound = FARTHEST_TARGET_RAD / self._env.robot.action_scale
+        self.single_observation_space = _box(np.inf, self._env.observer.size)
+        self.single_action_space = _box(bound, self._env.num_actions)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
@@ -86,7 +112,16 @@ class ArriveVectorEnv(VectorEnv):
             raise ArriveError(f"reset takes no options, not {', '.join(options)}; robots restart by themselves")
         super().reset(seed=seed)
         self._env.restart(None if seed is None else int(self.np_random.integers(2**63)))
+        self._waiting[:] = False
+        self._look()
         return self._env.get_observations()[POLICY].numpy(), {}
+
+    def next_episodes(self) -> np.ndarray:
+        """End every robot's episode without a result and start the next one; returns the first observations."""
+        self._env.begin_episodes(torch.arange(self.num_envs))
+        self._waiting[:] = False
+        self._look()
+        return self._env.get_observations()[POLICY].numpy()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every robot by one policy step.
@@ -98,24 +133,81 @@ class ArriveVectorEnv(VectorEnv):
             ArriveError: actions of another shape, or not finite.
         """
         actions = np.asarray(actions, dtype=np.float32)
-        if actions.shape != self.action_space.shape or not np.isfinite(actions).all():
-            raise ArriveError(f"actions must be {self.action_space.shape} finite numbers, not {actions.shape}")
+        if actions.shape != self.action_space.shape:
+            raise ArriveError(f"actions must have the shape {self.action_space.shape}, not {actions.shape}")
+        if not np.isfinite(actions).all():
+            raise ArriveError("actions must be finite numbers; some are NaN or infinite")
         observations, rewards, dones, extras = self._env.step(torch.from_numpy(actions))
         ended = dones.bool()
         truncated = extras["time_outs"].bool() if "time_outs" in extras else torch.zeros_like(ended)
+        step = _Step(observations[POLICY].numpy(), rewards.numpy(), (ended & ~truncated).numpy(), truncated.numpy(), {})
+        if self._next_step:
+            self._start_late(step)
+        elif self._env.log.finished is not None:
+            step.info.update(_final(self._env.log.finished, self.num_envs))
+        self._look()
+        return step.observations, step.rewards, step.terminated, step.truncated, step.info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """One (height, width, 3) picture per robot, 8 bits per colour; None without a render mode.
+
+        Raises:
+            GraphicsUnavailable: this machine cannot draw.
+        """
+        return None if self._pictures is None else self._pictures.draw()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close what draws."""
+        if self._pictures is not None:
+            self._pictures.close()
+
+    def _start_late(self, step: "_Step") -> None:
+        """Turn a step into that of `NEXT_STEP`: ends are shown now, and starts in the next step."""
+        waiting = self._waiting.copy()
+        if waiting.any():
+            self._env.begin_episodes(torch.from_numpy(waiting).nonzero().squeeze(-1))
+            step.observations[waiting] = self._env.get_observations()[POLICY].numpy()[waiting]
+            step.rewards[waiting], step.terminated[waiting], step.truncated[waiting] = 0.0, False, False
+        self._waiting = step.terminated | step.truncated
         finished = self._env.log.finished
-        info = {} if finished is None else _final(finished, self.num_envs)
-        return (
-            observations[POLICY].numpy(),
-            rewards.numpy(),
-            (ended & ~truncated).numpy(),
-            truncated.numpy(),
-            info,
-        )
+        if finished is None or not self._waiting.any():
+            return
+        final = _final(finished, self.num_envs)
+        for env_id in np.flatnonzero(self._waiting):
+            step.observations[env_id] = final["final_obs"][env_id]
+        for name, value in final["final_info"].items():
+            step.info[name] = value & self._waiting if name.startswith("_") else value
+
+    def _look(self) -> None:
+        if self._pictures is not None:
+            self._pictures.note()
 
 
-def _numbers(size: int) -> gymnasium.spaces.Box:
-    return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+@dataclass
+class _Step:
+    """What a step gives; each array has one entry or row per robot."""
+
+    observations: np.ndarray
+    rewards: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    info: dict[str, Any]
+
+
+def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    """The mode by itself or by its value.
+
+    Raises:
+        ArriveError: it is neither `SAME_STEP` nor `NEXT_STEP`.
+    """
+    for valid in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+        if mode in (valid, valid.name, valid.value):
+            return valid
+    raise ArriveError(f"autoreset_mode must be SAME_STEP or NEXT_STEP, not {mode}")
+
+
+def _box(bound: float, size: int) -> gymnasium.spaces.Box:
+    return gymnasium.spaces.Box(-bound, bound, (size,), np.float32)
 
 
 def _placement(config: Config, level: int | None) -> Placement:

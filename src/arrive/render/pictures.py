@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -100,6 +100,36 @@ def open_stage(episode: Episode, width: int, height: int) -> Iterator["Stage"]:
     _set_look(model, episode)
     with open_renderer(model, width, height) as renderer:
         yield Stage(episode, model, renderer)
+
+
+class LiveStage:
+    """Draws the newest moment of episodes that go on, in one world."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+        """Nothing is opened before the first picture; `close` closes it.
+
+        Args:
+            model: the world, with the shapes that are looked at.
+        """
+        self.model = copy.copy(model)
+        self._size, self._open = (width, height), ExitStack()
+        self._renderer: mujoco.Renderer | None = None
+
+    def draw(self, episode: Episode) -> np.ndarray:
+        """(height, width, 3) the picture of the last row of an episode's `qpos`, 8 bits per colour.
+
+        Raises:
+            GraphicsUnavailable: this machine cannot draw.
+        """
+        _set_look(self.model, episode)
+        if self._renderer is None:
+            # A renderer keeps the sizes of shadows and samples that the model has now.
+            self._renderer = self._open.enter_context(open_renderer(self.model, *self._size))
+        return Stage(episode, self.model, self._renderer).draw(len(episode.qpos) - 1)
+
+    def close(self) -> None:
+        """Close the renderer."""
+        self._open.close()
 
 
 class Stage:

@@ -1,0 +1,72 @@
+"""Pictures of robots while they are stepped, for Gymnasium's `render`."""
+
+import numpy as np
+import torch
+
+from arrive.env import ArriveEnv
+from arrive.evaluation.episode import Episode
+from arrive.physics.world import compile_world
+from arrive.render.pictures import FILM_SIZE, LiveStage
+from arrive.task.final import arrival_radius
+
+MOST_STAGES = 8
+"""Worlds that are kept ready to be drawn; each takes memory for its shapes and shadows."""
+
+
+class LivePictures:
+    """Each robot's episode so far, seen from beside its way."""
+
+    def __init__(self, env: ArriveEnv):
+        """Begin with nothing; worlds are compiled when they are first drawn."""
+        self._env = env
+        self._poses: list[list[np.ndarray]] = [[] for _ in range(env.num_envs)]
+        self._stages: dict[int, LiveStage] = {}
+        """By tile, the one that was used last at the end."""
+
+    def note(self) -> None:
+        """Remember where the robots are; to be called after every reset and step."""
+        state = self._env.state
+        poses = torch.cat([state.base_pos_w, state.base_quat_w, state.joint_pos], dim=-1).cpu().numpy()
+        starts = (self._env.episode_length_buf == 0).tolist()
+        for known, pose, start in zip(self._poses, poses, starts, strict=True):
+            if start:
+                known.clear()
+            known.append(pose)
+
+    def draw(self) -> tuple[np.ndarray, ...]:
+        """One (height, width, 3) picture per robot, 8 bits per colour.
+
+        Raises:
+            GraphicsUnavailable: this machine cannot draw.
+        """
+        return tuple(self._draw(robot) for robot in range(self._env.num_envs))
+
+    def close(self) -> None:
+        """Close the renderers."""
+        while self._stages:
+            self._stages.popitem()[1].close()
+
+    def _draw(self, robot: int) -> np.ndarray:
+        env = self._env
+        stage = self._stage(int(env.tile_of_env[robot]))
+        episode = Episode(
+            model=stage.model,
+            qpos=np.array(self._poses[robot]),
+            target_w=tuple(env.task.destination_w[robot].tolist()),
+            target_radius=arrival_radius(env.config.task),
+            control_dt=env.control_dt,
+            outcome="",
+            caption="",
+        )
+        return stage.draw(episode)
+
+    def _stage(self, tile: int) -> LiveStage:
+        stage = self._stages.pop(tile, None)
+        if stage is None:
+            while len(self._stages) >= MOST_STAGES:
+                self._stages.pop(next(iter(self._stages))).close()
+            env = self._env
+            model = compile_world(env.robot, env.pool.tiles[tile], env.config.physics, visuals=True)
+            stage = LiveStage(model, *FILM_SIZE)
+        self._stages[tile] = stage
+        return stage
