@@ -4,8 +4,10 @@
 `arrive.deployment.terms` computes them in the controller, without torch.
 """
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from arrive.registry import add
 
@@ -44,6 +46,30 @@ def register_term(name: str, meaning: TermMeaning) -> None:
         ArriveError: the name is taken.
     """
     add("observation", TERMS, name, meaning)
+
+
+LABEL_ROUNDING_M = 0.0501
+"""Tolerance for labels of grid points in older files, which have one decimal place."""
+ROUNDED_POINT = re.compile(r"\((-?\d+\.\d), (-?\d+\.\d)\)")
+"""Label of a grid point in an older file."""
+
+
+def same_labels(saved: Any, present: Sequence[str]) -> bool:
+    """Whether the labels of a term in a file mean the same entries as those of this version."""
+    if not isinstance(saved, Sequence) or len(saved) != len(present):
+        return False
+    return all(same_label(one, other) for one, other in zip(saved, present, strict=True))
+
+
+def same_label(saved: Any, present: str) -> bool:
+    """Whether a label in a file means the same entry. In older files the labels of grid points are rounded to 0.1 m."""
+    if saved == present:
+        return True
+    point = ROUNDED_POINT.fullmatch(saved) if isinstance(saved, str) else None
+    if point is None or not present.startswith("("):
+        return False
+    pairs = zip(point.groups(), present.strip("()").split(","), strict=True)
+    return all(abs(float(rounded) - float(exact)) <= LABEL_ROUNDING_M for rounded, exact in pairs)
 
 
 class Timed(Protocol):

@@ -314,6 +314,14 @@ def test_a_schema_that_differs_in_meaning_alone_is_refused(tmp_path, change, wor
     check_schema([ROW], [ROW], tmp_path)
 
 
+def test_labels_that_older_versions_rounded_mean_the_same_points(tmp_path):
+    present = ROW | {"labels": ["(-0.375, 0.5)", "(0, -0.125)"]}
+    check_schema([ROW | {"labels": ["(-0.4, 0.5)", "(0.0, -0.1)"]}], [present], tmp_path)
+    for labels in (["(-0.5, 0.5)", "(0.0, -0.1)"], ["(-0.38, 0.5)", "(0.0, -0.1)"], ["(-0.4, 0.5)"], ["a", "b"], None):
+        with pytest.raises(ArriveError, match="differ in labels"):
+            check_schema([ROW | {"labels": labels}], [present], tmp_path)
+
+
 def test_a_policy_file_acts_as_the_network_that_was_saved(run):
     trainer = trainer_in(run)
     trainer.load()

@@ -9,9 +9,11 @@ from torch import Tensor
 from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig, from_dict
 from arrive.env import POLICY, ArriveEnv
-from arrive.presets import PAPER_REWARDS
+from arrive.presets import PAPER_REWARDS, robust
+from arrive.robots import get_robot
 from arrive.task.final import FinalConfig
-from arrive.task.observations import Observer
+from arrive.task.heights import HeightGrid, HeightsConfig
+from arrive.task.observations import Observer, observation_terms
 from arrive.terrain import FAMILIES
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, cell_index
 
@@ -149,6 +151,14 @@ def test_the_height_grid_lies_before_a_robot_as_its_labels_say():
     assert (min(labels), max(labels)) == ((-0.8, -0.5), (0.8, 0.5))
     expected = [0.7 - 0.5 - 1.1 if y > 0.25 else 0.7 - 0.5 for _, y in labels]
     np.testing.assert_allclose(heights, expected, atol=1e-5)
+
+
+def test_the_labels_of_the_height_grid_are_its_points():
+    """Also on the grid of the preset `robust`, whose points are 0.125 m apart."""
+    for heights in (HeightsConfig(), robust().observation.heights):
+        terms = observation_terms(get_robot("anymal_c"), ObservationConfig(heights=heights), 6.0)
+        points = [tuple(map(float, label.strip("()").split(","))) for label in terms[-1].labels]
+        np.testing.assert_allclose(points, HeightGrid(heights).points, atol=1e-6)
 
 
 def grid_cells(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,12 +27,11 @@ from arrive.task.final import FinalConfig, PositionConfig
 from arrive.task.heights import HeightGrid
 from arrive.task.observations import Observer, height_offset
 from arrive.task.registry import get_task
+from arrive.terms import same_label
 
 OPSET, IR_VERSION = 17, 8
 """Supported by every onnxruntime since 1.13."""
 GOLDEN_PAIRS, GOLDEN_SEED = 16, 0
-LABEL_ROUNDING_M = 0.0501
-"""Tolerance for labels of grid points. `heights.points_m` has their exact positions."""
 
 
 def export_policy(policy: Policy, out: Path) -> None:
@@ -80,17 +79,8 @@ def _compare(path: Path, where: str, found: Any, expected: Any) -> None:
     elif isinstance(expected, list) and isinstance(found, list) and len(found) == len(expected):
         for i, pair in enumerate(zip(found, expected, strict=True)):
             _compare(path, f"{where}[{i}]", *pair)
-    elif found != expected and not (".labels[" in where and _same_point(found, expected)):
+    elif found != expected and not (".labels[" in where and same_label(found, expected)):
         raise ArriveError(f"{path} does not fit this version of arrive: {where} is {found!r}, not {expected!r}")
-
-
-def _same_point(found: Any, expected: Any) -> bool:
-    """Whether two labels name the same point of the height grid. Earlier versions rounded them to 0.1 m."""
-    try:
-        first, second = (np.array([float(x) for x in label.strip("()").split(",")]) for label in (found, expected))
-        return first.shape == second.shape and bool(np.abs(first - second).max() <= LABEL_ROUNDING_M)
-    except (AttributeError, ValueError):
-        return False
 
 
 def policy_sections(config: Config) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
 from arrive.files import read_bytes, write_bytes
 from arrive.policies import POLICY_NAME
+from arrive.terms import same_labels
 
 FORMAT = 2
 """Version of the file format."""
@@ -184,8 +185,7 @@ def check_schema(saved: list[dict[str, Any]], present: list[dict[str, Any]], pat
         ArriveError: the schemas differ; the message names the first term that differs.
     """
     for ours, theirs in zip(present, saved, strict=False):
-        if ours != theirs:
-            keys = [key for key in ours if ours[key] != theirs.get(key)]
+        if keys := _differing(ours, theirs):
             raise ArriveError(
                 f"{path} was trained on another observation: its term {theirs.get('name')!r} and {ours['name']!r} here "
                 f"differ in {', '.join(keys)}. Use the configuration and version it was trained with."
@@ -194,3 +194,11 @@ def check_schema(saved: list[dict[str, Any]], present: list[dict[str, Any]], pat
         raise ArriveError(
             f"{path} was trained on {len(saved)} observation terms, this configuration has {len(present)}"
         )
+
+
+def _differing(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
+    """The keys in which two rows of a schema differ in meaning."""
+    keys = [key for key in ours | theirs if ours.get(key) != theirs.get(key)]
+    if "labels" in keys and same_labels(theirs.get("labels"), ours["labels"]):
+        keys.remove("labels")
+    return keys

@@ -130,7 +130,7 @@ def around_command(
     joints = robot.joint_names
     joint_maps = joint_mirror(robot), joint_reverse(robot)
     grid, clip, offset = HeightGrid(config.heights), config.heights.clip, height_offset(robot)
-    cells = tuple(f"({x:.1f}, {y:.1f})" for x, y in grid.points.tolist())
+    cells = tuple(f"({x:g}, {y:g})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
     return (
