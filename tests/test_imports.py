@@ -1,6 +1,12 @@
-"""The import graph has no circle, neither of files nor of packages; imports in functions and for types count too."""
+"""What the package imports: no circle of files or packages, and nothing that pyproject.toml does not require.
+
+Imports in functions and imports for types are included.
+"""
 
 import ast
+import re
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,6 +20,10 @@ FILES = {
 }
 """Path of every module by name."""
 Graph = dict[str, set[str]]
+DISTRIBUTIONS = {"PIL": "pillow", "mujoco": "mujoco-core", "rsl_rl": "rsl-rl-lib", "warp": "warp-lang"}
+"""Names of distributions that differ from their module's."""
+WITHOUT_DEPENDENCIES = {"mujoco_warp"}
+"""Installed with `pip install --no-deps`, which pyproject.toml cannot say."""
 
 
 def imports_of(tree: ast.AST) -> set[str]:
@@ -78,3 +88,22 @@ def test_there_is_no_circle(of):
     assert sum(map(len, graph.values())) > 50
     circle = circle_in(graph)
     assert not circle, " -> ".join(circle)
+
+
+def modules_of(tree: ast.AST) -> set[str]:
+    """The top-level names of all modules that a module imports."""
+    nodes = list(ast.walk(tree))
+    plain = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names = plain | {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
+    return {name.partition(".")[0] for name in names}
+
+
+def test_every_import_is_a_declared_dependency():
+    """A package that only a dependency requires can disappear with that dependency's next version."""
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())["project"]
+    lines = [*project["dependencies"], *(line for extra in project["optional-dependencies"].values() for line in extra)]
+    declared = {re.match(r"[\w-]+", line)[0] for line in lines}
+    imported = set.union(*(modules_of(ast.parse(path.read_text())) for path in FILES.values()))
+    foreign = imported - sys.stdlib_module_names - {"arrive"} - WITHOUT_DEPENDENCIES
+    assert {"numpy", "msgspec"} <= foreign
+    assert {DISTRIBUTIONS.get(name, name) for name in foreign} <= declared

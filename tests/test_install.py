@@ -58,6 +58,11 @@ def test_the_wheel_says_that_it_has_types(wheel):
     assert "arrive/py.typed" in zipfile.ZipFile(wheel).namelist()
 
 
+def test_the_wheel_has_the_licence_alone_as_its_licence_file(wheel):
+    (licence,) = (name for name in zipfile.ZipFile(wheel).namelist() if "/licenses/" in name)
+    assert zipfile.ZipFile(wheel).read(licence) == (ROOT / "LICENSE").read_bytes()
+
+
 def test_shipped_policies_work_without_a_checkout(installed, tmp_path):
     listed = done(run(installed, "list", "policies", cwd=tmp_path))
     assert all(name in listed for name in shipped_names())
