@@ -12,7 +12,7 @@ from pathlib import Path
 from pages import write_or_check
 
 from arrive.commands.known import FILE, collect
-from arrive.fields import Row, rows
+from arrive.fields import FieldInfo, rows
 from arrive.presets import PRESETS
 from arrive.task.registry import TASKS
 
@@ -57,19 +57,19 @@ def listing() -> str:
     return json.dumps(collect(), indent=1) + "\n"
 
 
-def section_of(row: Row) -> str:
+def section_of(row: FieldInfo) -> str:
     """The heading that a field stands under."""
     section, dot, _ = row.path.partition(".")
     return f"`{section}`" if dot else "The run"
 
 
-def values(same: Iterable[Row]) -> str:
+def values(same: Iterable[FieldInfo]) -> str:
     """The value of one field in every preset; one where they agree."""
     shown = [f"`{json.dumps(row.value)}`" for row in same]
     return shown[0] if len(set(shown)) == 1 else ", ".join(shown)
 
 
-def table(fields: list[tuple[Row, str]]) -> str:
+def table(fields: list[tuple[FieldInfo, str]]) -> str:
     """Field, value, unit, range and meaning."""
     lines = ["| field | value | unit | range | meaning |", "|---|---|---|---|---|"]
     for row, value in fields:

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import pytest
 
-from arrive.config import Config, check, from_dict, override, to_dict
+from arrive.config import Config, check_config, from_dict, override, to_dict
 from arrive.errors import ArriveError
 from arrive.fields import hints_of, is_interval, rows, split_range
 from arrive.presets import PRESETS, get_preset, robust
@@ -158,7 +158,7 @@ CONFIGS = PRESETS | TASKS_OF
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_every_preset_and_task_is_within_its_ranges(name):
-    check(CONFIGS[name]())
+    check_config(CONFIGS[name]())
 
 
 def fields_of(config, where: str = "") -> Iterator[tuple[str, Any]]:
@@ -202,7 +202,7 @@ def test_whatever_is_outside_a_fields_range_is_refused_in_one_line(name):
         assert values, f"{path} takes any number"
         for value in values:
             with pytest.raises(ArriveError) as error:
-                check(changed(config, path.split("."), value))
+                check_config(changed(config, path.split("."), value))
             assert "\n" not in str(error.value)
             assert f"{path} must be" in str(error.value), (path, value)
             refused += 1
@@ -266,4 +266,4 @@ def test_every_field_says_what_it_is(name):
 def test_an_integer_that_is_no_float_is_out_of_range():
     config = override(get_preset("paper"), ("ppo.gamma=1" + "0" * 400,))
     with pytest.raises(ArriveError, match=r"ppo\.gamma must be 0 to 1, not 1e\+300"):
-        check(config)
+        check_config(config)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from arrive.config import Config, check
+from arrive.config import Config, check_config
 from arrive.env import ArriveEnv
 from arrive.memory import check_robots, check_worlds
 from arrive.physics.device import make_physics
@@ -15,7 +15,7 @@ from arrive.physics.pool import TileSet, WorldRandomisation, build_pool
 from arrive.robots import get_robot
 from arrive.task.final import PositionConfig
 from arrive.task.registry import get_task
-from arrive.task.task import ConstantCommand, Setting, Trial
+from arrive.task.task import ConstantCommand, TaskContext, Trial
 from arrive.terrain import Family, Layout, get_family
 from arrive.terrain.build import TARGET_DISTANCE
 from arrive.terrain.levels import level_values
@@ -36,14 +36,15 @@ class Placement:
     """Fixed family and level of each environment; None for the curriculum."""
 
 
-Progress = Callable[[int, int], None]
+OnProgress = Callable[[int, int], None]
+"""Called with the number of finished parts and their total."""
 
 
 def build_env(
     config: Config,
     placement: Placement = Placement(),
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
     device: torch.device | str | None = None,
     learning: bool = False,
 ) -> ArriveEnv:
@@ -59,7 +60,7 @@ def build_env(
     Raises:
         ArriveError: the configuration is invalid, or needs more memory than is free.
     """
-    check(config)
+    check_config(config)
     network = motor_network(config.physics)  # before the worlds, so that a bad file is reported at once
     robot = get_robot(config.robot)
     families = tuple(get_family(name) for name in config.terrain.families)
@@ -75,8 +76,8 @@ def build_env(
     pool = build_pool(robot, tile_set, spread, config.physics, seed, progress).to(device)
     physics = make_physics(robot, pool.worlds, config.physics, config.num_envs, threads, device, network)
     generator = torch.Generator(device).manual_seed(seed)
-    setting = Setting(config.num_envs, config.physics.control_dt, pool.rasters, generator)
-    task = get_task(config.task.name)(config.task, setting, placement.trial)
+    context = TaskContext(config.num_envs, config.physics.control_dt, pool.rasters, generator)
+    task = get_task(config.task.name)(config.task, context, placement.trial)
     return ArriveEnv(config, robot, pool, physics, task, generator, placement.assignment)
 
 

@@ -39,7 +39,7 @@ DESCRIPTION = (
     f"explains a command. {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more."
 )
 
-Command = (
+AnyCommand = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Report, tyro.conf.subcommand("report")]
@@ -72,7 +72,7 @@ def main(arguments: list[str] | None = None) -> None:
     imports, words = _imports(words)
     words = words or ["--help"]
     try:
-        command = tyro.cli(Command, prog="arrive", description=DESCRIPTION, args=words)
+        command = tyro.cli(AnyCommand, prog="arrive", description=DESCRIPTION, args=words)
     except SystemExit as stop:
         if not stop.code and words[0] in SETTABLE:
             _show_fields()
@@ -143,12 +143,12 @@ def _one_line(error: BaseException) -> str:
     return f"unexpected {type(error).__name__}: {text:.300}. {DEBUG} shows where; please report it."
 
 
-def _run(command: Command) -> None:
+def _run(command: AnyCommand) -> None:
     if getattr(command, "threads", 1) != 1:
         wait_considerately()
     module, function = {
         Train: ("training", "train"),
-        Eval: ("evaluation", "evaluate"),
+        Eval: ("evaluation", "run_eval"),
         Report: ("evaluation", "report"),
         Energy: ("energy", "energy"),
         Gait: ("gait", "gait"),

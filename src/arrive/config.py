@@ -1,7 +1,7 @@
 """The configuration of a run: frozen data that a preset builds, `--set` changes by name, and the run saves.
 
-The parameters of tasks, rewards, observations and physics are defined beside the code that uses them. `check` tests the
-ranges of all fields before anything is built.
+The parameters of tasks, rewards, observations and physics are defined beside the code that uses them. `check_config`
+tests the ranges of all fields before anything is built.
 """
 
 import math
@@ -9,9 +9,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from arrive import fields
 from arrive.errors import ArriveError
-from arrive.fields import SEED, Count, NotNegative, Positive, Range, Rule, Share, from_dict, override, to_dict
+from arrive.fields import (
+    SEED,
+    AtLeastOne,
+    NotNegative,
+    Positive,
+    Range,
+    Rule,
+    Share,
+    check_fields,
+    from_dict,
+    override,
+    to_dict,
+)
 from arrive.physics.options import LEAST_TIME_STEPS, PhysicsConfig
 from arrive.robots import Robot, get_robot
 from arrive.task.final import FinalConfig
@@ -28,7 +39,7 @@ __all__ = [
     "RandomisationConfig",
     "ScheduleConfig",
     "TerrainConfig",
-    "check",
+    "check_config",
     "from_dict",
     "override",
     "saved_config",
@@ -44,9 +55,9 @@ class TerrainConfig:
 
     families: tuple[str, ...] = ("flat",)
     """Names of the terrain families."""
-    levels: Count = 10
+    levels: AtLeastOne = 10
     """Number of levels, from each family's easiest to its hardest parameter."""
-    variants: Count = 8
+    variants: AtLeastOne = 8
     """Number of worlds per family and level. They differ in friction and payload, and in terrain if it is random."""
     demotion_share: Share = 1.0
     """Probability that a failure lowers the level. With q, levels stop rising at a success rate of q / (1 + q)."""
@@ -56,11 +67,11 @@ class TerrainConfig:
 class PPOConfig:
     """Proximal policy optimisation, as rsl_rl implements it."""
 
-    num_steps: Count = 48
+    num_steps: AtLeastOne = 48
     """Policy steps per environment and iteration."""
-    epochs: Count = 5
+    epochs: AtLeastOne = 5
     """Passes over each batch."""
-    mini_batches: Count = 4
+    mini_batches: AtLeastOne = 4
     """Mini-batches per pass."""
     gamma: Share = 0.99
     """Discount per policy step."""
@@ -131,7 +142,7 @@ class Config:
     """The preset that this configuration started from, see `arrive list presets`."""
     robot: str = "anymal_c"
     """The robot, see `arrive list robots`."""
-    num_envs: Count = 1024
+    num_envs: AtLeastOne = 1024
     """Robots simulated side by side."""
     seed: Annotated[int, SEED] = 1
     """Seed of networks, terrain and everything random."""
@@ -197,7 +208,7 @@ def saved_config(data: dict[str, Any], source: Path) -> Config:
         raise ArriveError(f"cannot read {source}: was it made by another version of arrive? {error}") from error
 
 
-def check(config: Config) -> None:
+def check_config(config: Config) -> None:
     """Check a configuration before anything is built from it.
 
     Raises:
@@ -207,4 +218,4 @@ def check(config: Config) -> None:
     get_robot(config.robot)
     for name in config.terrain.families:
         get_family(name)
-    fields.check(config)
+    check_fields(config)

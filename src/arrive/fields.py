@@ -71,7 +71,7 @@ Positive = Annotated[float, Range(0.0, LARGEST, above=True)]
 NotNegative = Annotated[float, Range(0.0, LARGEST)]
 NotPositive = Annotated[float, Range(-LARGEST, 0.0)]
 Share = Annotated[float, Range(0.0, 1.0)]
-Count = Annotated[int, Range(1, 2**31 - 1)]
+AtLeastOne = Annotated[int, Range(1, 2**31 - 1)]
 SEED = Range(0, 2**32 - 1)
 """Of a seed: what NumPy and torch both take."""
 Interval = tuple[float, float]
@@ -86,7 +86,7 @@ class Rule(NamedTuple):
     holds: bool
 
 
-class Row(NamedTuple):
+class FieldInfo(NamedTuple):
     """One field, for documentation."""
 
     path: str
@@ -107,7 +107,7 @@ def is_interval(hint: Any) -> bool:
     return get_origin(hint) is tuple and get_args(hint) == (float, float)
 
 
-def check(config: Any) -> None:
+def check_fields(config: Any) -> None:
     """Check that every field is in its range.
 
     Raises:
@@ -177,7 +177,7 @@ def split_range(hint: Any) -> tuple[Any, Range]:
     return hint, Range(-LARGEST, LARGEST)
 
 
-def rows(config: Any, where: str = "") -> Iterator[Row]:
+def rows(config: Any, where: str = "") -> Iterator[FieldInfo]:
     """Every field of a configuration with its value."""
     kind: type = type(config)
     words = documentation(kind)
@@ -187,7 +187,7 @@ def rows(config: Any, where: str = "") -> Iterator[Row]:
         if not dataclasses.is_dataclass(value):
             meaning = words.get(name, "")
             base, limits = split_range(hint)
-            yield Row(f"{where}{name}", value, _unit(meaning), _words(base, limits.meaningful), meaning)
+            yield FieldInfo(f"{where}{name}", value, _unit(meaning), _words(base, limits.meaningful), meaning)
             continue
         for row in rows(value, f"{where}{name}."):
             if row.path == f"{where}{name}.{getattr(value, 'MAIN', '')}":

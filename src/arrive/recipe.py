@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from arrive.config import Config, check, override
+from arrive.config import Config, check_config, override
 from arrive.errors import ArriveError
 from arrive.learning.networks import choose_precision
 from arrive.presets import get_preset
@@ -58,5 +58,5 @@ def make_config(
     config = override(config, overrides)
     # Chosen once, so that a run resumed on another machine keeps it.
     config = replace(config, ppo=replace(config.ppo, precision=choose_precision(config.ppo.precision)))
-    check(config)
+    check_config(config)
     return config

@@ -8,7 +8,7 @@ import pytest
 
 from arrive.actuation import series_elastic
 from arrive.actuation.excitation import excite, random_load
-from arrive.actuation.fit import FitConfig, fit, predict, split_trajectories
+from arrive.actuation.fit import FitConfig, fit_network, predict, split_trajectories
 from arrive.actuation.logs import COLUMNS, Trajectory, read_logs
 from arrive.actuation.network_file import read_network, write_network
 from arrive.actuation.responses import (
@@ -194,7 +194,7 @@ class TestFit:
 
     def test_predicts_held_out_torque_within_5_percent_of_its_range(self, log, tmp_path):
         """And better than the best PD law can; measured by the arithmetic and the file that simulation uses."""
-        result = fit(read_logs([log], PERIOD), self.CONFIG, "test")
+        result = fit_network(read_logs([log], PERIOD), self.CONFIG, "test")
         assert result.errors.share < 0.05
         assert result.errors.rms_nm < 0.6 * result.pd_errors.rms_nm
         write_network(tmp_path / "drive.safetensors", result.network)
@@ -209,13 +209,13 @@ class TestFit:
         held_out = {each.name for each in split_trajectories(trajectories).test}
         assert len(held_out) == 3
         other = [replace(t, torque=-t.torque) if t.name in held_out else t for t in trajectories]
-        first, second = (fit(logs, config).network.weights for logs in (trajectories, other))
+        first, second = (fit_network(logs, config).network.weights for logs in (trajectories, other))
         assert all(np.array_equal(first[name], second[name]) for name in first)
 
     def test_stops_early_where_there_is_nothing_to_learn(self):
         rng = np.random.default_rng(0)
         noise = [Trajectory(str(i), PERIOD, *rng.normal(0, 1, (4, 400))) for i in range(5)]
-        result = fit(noise, replace(self.CONFIG, epochs=200, patience=3))
+        result = fit_network(noise, replace(self.CONFIG, epochs=200, patience=3))
         assert result.epochs < 100
         assert result.errors.rms_nm == pytest.approx(1.0, abs=0.3)
 
@@ -231,7 +231,7 @@ class TestFit:
     def test_a_torque_that_never_acts_is_refused(self):
         still = [Trajectory(str(i), PERIOD, *np.ones((3, 400)), np.zeros(400)) for i in range(5)]
         with pytest.raises(ArriveError, match="is zero throughout the logs"):
-            fit(still, self.CONFIG)
+            fit_network(still, self.CONFIG)
 
 
 class TestResponses:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arrive.bench.control_loop import Walk
+from arrive.bench.control_loop import WalkInputs
 from arrive.bench.deployment import bench_deployment, print_deployment
 from arrive.deployment import Controller
 from arrive.errors import ArriveError
@@ -37,7 +37,7 @@ def test_targets_decide_what_is_met(monkeypatch):
 
 def test_every_input_changes_and_the_policy_acts_on_all_of_them(exported):
     controller = Controller.load(exported)
-    walk, modes, seen = Walk(controller), set(), []
+    walk, modes, seen = WalkInputs(controller), set(), []
     for i in range(100):
         inputs = walk.at(0.02 * i)
         command = controller.step(*inputs, 0.02 * i)

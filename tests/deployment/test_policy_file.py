@@ -15,7 +15,7 @@ from arrive.build import build_env
 from arrive.cli import main
 from arrive.deployment import Controller, ControlLog
 from arrive.deployment.export import export_policy
-from arrive.deployment.onnx_file import PREFIX, SEAL, seal
+from arrive.deployment.onnx_file import PREFIX, SEAL, append_checksum
 from arrive.deployment.policy_file import read_policy_file
 from arrive.deployment.verify import verify
 from arrive.env import POLICY
@@ -27,7 +27,7 @@ from arrive.learning.trainer import Trainer
 from arrive.task.registry import get_task
 from controllers import CONFIG, an_env
 
-SEAL_SIZE = len(seal(b""))
+SEAL_SIZE = len(append_checksum(b""))
 
 
 def changed(exported, folder, change, sealed=False):
@@ -38,7 +38,7 @@ def changed(exported, folder, change, sealed=False):
     change(model, text)
     onnx.helper.set_model_props(model, text)
     body = model.SerializeToString()
-    (folder / "changed.onnx").write_bytes(seal(body) if sealed else body + content[-SEAL_SIZE:])
+    (folder / "changed.onnx").write_bytes(append_checksum(body) if sealed else body + content[-SEAL_SIZE:])
     return folder / "changed.onnx"
 
 
@@ -335,7 +335,7 @@ def test_random_bytes_under_a_good_checksum_are_refused_in_one_line(small, tmp_p
             damaged[place] = rng.integers(256)
         start = rng.integers(0, 400)
         damaged[start : start + rng.integers(0, 4)] = rng.bytes(rng.integers(0, 4))
-        (tmp_path / "damaged.onnx").write_bytes(seal(bytes(damaged)))
+        (tmp_path / "damaged.onnx").write_bytes(append_checksum(bytes(damaged)))
         messages.append(refusal(tmp_path / "damaged.onnx"))
     assert not [message for message in messages if "\n" in message]
     assert sum(map(bool, messages)) > 350

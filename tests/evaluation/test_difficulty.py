@@ -29,7 +29,7 @@ from arrive.task.feet import follow_feet
 from arrive.task.registry import TASKS, get_task
 from arrive.task.rewards import bound, functions
 from arrive.task.state import State
-from arrive.task.task import Setting, Start
+from arrive.task.task import Start, TaskContext
 from arrive.task.velocity import VelocityConfig, VelocityTask, air_time, track_speed, yaw_rate
 from arrive.terrain import FAMILIES
 
@@ -55,7 +55,7 @@ def a_state(n: int = 1, **values) -> State:
 def velocity_task(n: int = 1, trial=None) -> VelocityTask:
     config = configured("velocity")
     rasters = build_env(config, threads=1).pool.rasters
-    task = VelocityTask(config.task, Setting(n, DT, rasters, torch.Generator().manual_seed(0)), trial)
+    task = VelocityTask(config.task, TaskContext(n, DT, rasters, torch.Generator().manual_seed(0)), trial)
     task.new_command(Start(torch.arange(n), torch.zeros(n, 3), torch.zeros(n, dtype=torch.long)), False)
     return task
 
@@ -125,11 +125,11 @@ class TestVelocity:
             touches[0, 2] = not 5 <= step < 45
             in_air_s, landed_s = follow_feet(in_air_s, touched, touches, DT)
             touched = touches
-            paid.append(float(air_time(a_state(foot_landed_s=landed_s), task.command, least_s=0.5)))
+            paid.append(float(air_time(a_state(landed_air_s=landed_s), task.command, least_s=0.5)))
         assert [step for step, value in enumerate(paid) if value] == [45]
         assert paid[45] == pytest.approx(40 * DT - 0.5, abs=1e-5)
         task.command.speed[:] = 0.0
-        landed = a_state(foot_landed_s=torch.full((1, 4), 0.3))
+        landed = a_state(landed_air_s=torch.full((1, 4), 0.3))
         assert not air_time(landed, task.command, least_s=0.5).any()
 
     def test_commands_are_within_range_and_renewed_after_ten_seconds(self):

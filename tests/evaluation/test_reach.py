@@ -27,7 +27,7 @@ from arrive.report.reach import direction_table, distance_table, protocol_words,
 from arrive.report.records import Run, read_run
 from arrive.task.final import FinalConfig, FinalPositionTask
 from arrive.task.targets import next_valid
-from arrive.task.task import Setting, Start
+from arrive.task.task import Start, TaskContext
 from arrive.task.velocity import VelocityConfig
 from arrive.terrain import FAMILIES, get_family
 from arrive.terrain.ground import Ground, ground_of
@@ -81,7 +81,7 @@ class TestTargets:
 def waiting_task(n: int = 1) -> FinalPositionTask:
     trial = replace(TRIAL, duration_s=1.0, wait_s=2.0, hold_s=0.7)
     rasters = stack_rasters([ground_of("flat").build()])
-    task = FinalPositionTask(FinalConfig(), Setting(n, DT, rasters, torch.Generator().manual_seed(0)), trial)
+    task = FinalPositionTask(FinalConfig(), TaskContext(n, DT, rasters, torch.Generator().manual_seed(0)), trial)
     task.new_command(Start(torch.arange(n), torch.zeros(n, 3), torch.zeros(n, dtype=torch.long)), False)
     return task
 

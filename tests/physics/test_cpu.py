@@ -13,7 +13,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
-from arrive.fields import check
+from arrive.fields import check_fields
 from arrive.physics import PhysicsConfig
 from arrive.physics.cpu import CpuPhysics
 from arrive.physics.options import with_decimation
@@ -359,8 +359,8 @@ def test_long_steps_are_those_of_a_world_compiled_with_them():
 
 def test_time_constants_that_mujoco_would_raise_silently_are_refused():
     with pytest.raises(ArriveError, match=r"contact_time_s must be at least 2 physics steps, 0.02 s, .* not 0.01"):
-        check(PhysicsConfig(timestep_s=0.01))
-    check(PhysicsConfig(timestep_s=0.01, contact_time_s=0.02))
+        check_fields(PhysicsConfig(timestep_s=0.01))
+    check_fields(PhysicsConfig(timestep_s=0.01, contact_time_s=0.02))
     tile = build_tile(FAMILIES["flat"], 0.0, np.random.default_rng(0), "training")
     with pytest.raises(ArriveError, match="contact_time_s"):
         compile_world(ROBOT, tile, PhysicsConfig(timestep_s=0.01))

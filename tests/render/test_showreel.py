@@ -10,7 +10,7 @@ from arrive.play.skills import open_skill
 from arrive.policies import shipped_names
 from arrive.policies.solved import solved_beside
 from arrive.render import showreel
-from arrive.render.showreel import FPS, SIZE, frames, record, write_showreel
+from arrive.render.showreel import FPS, SIZE, frames, record_episode, write_showreel
 from arrive.terrain.ground import ground_of
 
 ABLE = next(name for name in shipped_names() if solved_beside(command.SHIPPED / name))
@@ -20,7 +20,7 @@ ABLE = next(name for name in shipped_names() if solved_beside(command.SHIPPED / 
 @pytest.fixture(scope="module")
 def episode():
     skill = open_skill(ABLE)
-    return record(skill, skill.ground("evaluation"))
+    return record_episode(skill, skill.ground("evaluation"))
 
 
 def test_an_episode_ends_where_the_robot_stands_at_its_target(episode):
@@ -32,7 +32,7 @@ def test_an_episode_ends_where_the_robot_stands_at_its_target(episode):
 
 def test_a_robot_that_does_not_arrive_is_not_shown(monkeypatch):
     monkeypatch.setattr(showreel, "EASIER", (1.0,))
-    assert record(open_skill(ABLE), ground_of("gap=1.4", layout="evaluation")) is None
+    assert record_episode(open_skill(ABLE), ground_of("gap=1.4", layout="evaluation")) is None
 
 
 def test_every_terrain_shows_the_policy_that_solves_the_hardest(tmp_path, monkeypatch):

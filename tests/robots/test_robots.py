@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from arrive.config import check
+from arrive.config import check_config
 from arrive.errors import ArriveError
 from arrive.physics import PhysicsConfig
 from arrive.physics.world import compile_world, sensor_layout
@@ -241,7 +241,7 @@ def test_long_steps_suit_the_robots_joint_limits(monkeypatch):
     config = for_robot(robust(), ROBOTS["hard"])
     assert config.schedule.decimation == 4
     with pytest.raises(ArriveError, match=r"schedule.decimation must be 0, or at least 4: the limits .* not 3"):
-        check(replace(config, schedule=replace(config.schedule, decimation=3)))
+        check_config(replace(config, schedule=replace(config.schedule, decimation=3)))
 
 
 def test_a_preset_is_fitted_to_the_robots_size():

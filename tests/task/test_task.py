@@ -18,7 +18,7 @@ from arrive.task.heights import look_up
 from arrive.task.rewards import bound, task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import sample_targets
-from arrive.task.task import Setting, Start, Trial
+from arrive.task.task import Start, TaskContext, Trial
 from arrive.terrain import FAMILIES, build_tile
 from arrive.terrain.rasters import stack_rasters
 from arrive.terrain.tile import RASTER_HALF, RASTER_SIZE, Tile, cell_index
@@ -145,7 +145,7 @@ class TestTargets:
 
 
 def a_task(tile: Tile, n: int, config: FinalConfig = TASK, **options) -> FinalPositionTask:
-    setting = Setting(n, 0.02, stack_rasters([tile]), torch.Generator().manual_seed(0))
+    setting = TaskContext(n, 0.02, stack_rasters([tile]), torch.Generator().manual_seed(0))
     return FinalPositionTask(config, setting, **options)
 
 

@@ -69,7 +69,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Fit:
+class FitResult:
     """A trained network and its errors."""
 
     network: ActuatorNetwork
@@ -85,7 +85,8 @@ class Fit:
     """Torque of the network for each trajectory of `test` [N m]."""
 
 
-Progress = Callable[[int, float], None]
+OnEpoch = Callable[[int, float], None]
+"""Called with each epoch and the error on the validation trajectories [N m]."""
 
 
 def split_trajectories(trajectories: Sequence[Trajectory]) -> Split:
@@ -110,18 +111,18 @@ def split_trajectories(trajectories: Sequence[Trajectory]) -> Split:
     return Split(*parts)
 
 
-def fit(
+def fit_network(
     trajectories: Sequence[Trajectory],
     config: FitConfig,
     data: str = "",
-    progress: Progress = lambda epoch, error_nm: None,
-) -> Fit:
+    on_epoch: OnEpoch = lambda epoch, error_nm: None,
+) -> FitResult:
     """Train a network, stop early, and measure it on trajectories that training has not seen.
 
     Args:
         trajectories: of one period; see `read_logs`.
         data: description of the data, for the file.
-        progress: called with each epoch and the error on the validation trajectories [N m].
+        on_epoch: called with each epoch and the error on the validation trajectories [N m].
 
     Raises:
         ArriveError: the logs are too short or their torque is constant, or the configuration makes no sense.
@@ -131,14 +132,14 @@ def fit(
     torch.manual_seed(config.seed)
     period = split.train[0].period_s
     module = _make_module(config, period)
-    epochs = _train(module, split, scales, config, progress)
+    epochs = _train(module, split, scales, config, on_epoch)
     weights = {name: value.detach().numpy().copy() for name, value in module.state_dict().items()}
     taps_s = config.taps_s if config.architecture == "taps" else ()
     network = ActuatorNetwork(config.architecture, weights, period, *scales, taps_s=taps_s, data=data)
     predicted = [predict(network, trajectory) for trajectory in split.test]
     errors = _errors(split.test, predicted)
     gains = _best_pd(split.train)
-    return Fit(
+    return FitResult(
         replace(network, error_nm=errors.rms_nm),
         errors,
         _errors(split.test, [_pd(gains, trajectory) for trajectory in split.test]),
@@ -195,7 +196,7 @@ def _windows(trajectories: Sequence[Trajectory], scales: tuple[float, float, flo
 
 
 def _train(
-    module: nn.Module, split: Split, scales: tuple[float, float, float], config: FitConfig, progress: Progress
+    module: nn.Module, split: Split, scales: tuple[float, float, float], config: FitConfig, on_epoch: OnEpoch
 ) -> int:
     """Adam on the mean squared error; leaves the weights with the smallest validation error, returns the epochs."""
     inputs, torques = _windows(split.train, scales)
@@ -214,7 +215,7 @@ def _train(
         schedule.step()
         with torch.no_grad():
             error = float((module(held_inputs) - held_torques)[:, skip:].square().mean().sqrt()) * scales[2]
-        progress(epoch, error)
+        on_epoch(epoch, error)
         if error < best:
             best, best_epoch = error, epoch
             weights = {name: value.clone() for name, value in module.state_dict().items()}

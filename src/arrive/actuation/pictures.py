@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from arrive.actuation.clip import TorqueClip
-from arrive.actuation.fit import Fit
+from arrive.actuation.fit import FitResult
 from arrive.actuation.motor import Motor
 from arrive.actuation.responses import DriveModel, frequency_response, loaded_step, locked_step, torque_at_speed
 from arrive.colors import COLORS
@@ -26,7 +26,7 @@ COLORS_KEPT = 64
 """Of a picture, which makes its file a third as large."""
 
 
-def draw_fit(path: Path, fit: Fit) -> None:
+def draw_fit(path: Path, fit: FitResult) -> None:
     """Measured and predicted torque over time, against each other, and the distribution of the error.
 
     Raises:

@@ -29,7 +29,7 @@ SPEED, TURN_RAD_S = 0.8, 0.3
 """Along the circle [m/s, rad/s]."""
 
 
-class Walk:
+class WalkInputs:
     """Inputs of the controller, as a function of time."""
 
     def __init__(self, controller: Controller):
@@ -70,7 +70,7 @@ def resident_mb() -> float:
 def measure_control_loop(path: str, steps: int) -> dict[str, Any]:
     """Time `steps` control steps of the policy in an exported file, one by one."""
     controller = Controller.load(path)
-    walk, period = Walk(controller), controller.policy.period_s
+    walk, period = WalkInputs(controller), controller.policy.period_s
     latency_ns = np.zeros(steps, dtype=np.int64)
     refused = 0
     for i in range(-WARM_UP, steps):

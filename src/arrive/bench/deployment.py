@@ -85,7 +85,7 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
     import torch
     from tensordict import TensorDict
 
-    from arrive.config import check, override
+    from arrive.config import check_config, override
     from arrive.deployment.export import export_policy, policy_sections
     from arrive.env import POLICY
     from arrive.learning.policy import Policy
@@ -93,7 +93,7 @@ def _export_random(path: Path, hidden: tuple[int, ...], seed: int) -> None:
     from arrive.presets import robust
 
     config = override(robust(), (f"ppo.hidden={list(hidden)}",))
-    check(config)
+    check_config(config)
     content = policy_sections(config)
     sample = TensorDict({POLICY: torch.zeros(1, content["observation"][-1]["stop"])}, batch_size=[1])
     with torch.random.fork_rng():

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from mujoco.batch import Batch
 
-from arrive.build import build_env
+from arrive.build import OnProgress, build_env
 from arrive.config import Config
 from arrive.env import ArriveEnv
 from arrive.learning.checkpoint import CHECKPOINT_NAME
@@ -26,8 +26,6 @@ from arrive.physics.options import PhysicsConfig
 
 RATES = ("engine", "env", "collect", "update_samples_per_s", "train_samples_per_s")
 """The measured rates, each in policy steps or samples per second."""
-
-Progress = Callable[[int, int], None]
 
 
 class RawEngine:
@@ -65,7 +63,7 @@ def bench_throughput(
     threads: int,
     rounds: int,
     start_from: Path | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Measure every rate once per round, one after the other, so that what disturbs the machine disturbs all.
 

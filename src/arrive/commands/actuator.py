@@ -190,10 +190,10 @@ def fit(options: Fit) -> None:
     with Progress(*Progress.get_default_columns(), TextColumn("{task.fields[error]}"), transient=True) as bar:
         task = bar.add_task("fitting", total=options.epochs, error="")
 
-        def progress(epoch: int, error_nm: float) -> None:
+        def on_epoch(epoch: int, error_nm: float) -> None:
             bar.update(task, completed=epoch, error=f"{error_nm:.2f} N m")
 
-        result = fitting.fit(trajectories, config, data, progress)
+        result = fitting.fit_network(trajectories, config, data, on_epoch)
     write_network(options.out, result.network)
     picture = options.out.with_suffix(".png")
     draw_fit(picture, result)
@@ -201,7 +201,7 @@ def fit(options: Fit) -> None:
     print(f"network: {options.out}, picture: {picture}")
 
 
-def _print_errors(result: fitting.Fit, trajectories: int) -> None:
+def _print_errors(result: fitting.FitResult, trajectories: int) -> None:
     lines = (("network", result.errors), ("best PD law", result.pd_errors))
     print(f"{trajectories} trajectories, {result.epochs} epochs; on held-out trajectories:")
     for name, errors in lines:

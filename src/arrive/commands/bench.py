@@ -10,7 +10,7 @@ from rich.table import Table
 
 from arrive.bench.deployment import bench_deployment, print_deployment
 from arrive.bench.throughput import RATES, bench_throughput
-from arrive.commands.files import write_json
+from arrive.commands.files import write_result
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
 from arrive.recipe import make_config
@@ -37,7 +37,7 @@ def bench(command: Bench) -> None:
         result = _throughput(command)
         _print(result)
     if command.json is not None:
-        write_json(command.json, result)
+        write_result(command.json, result)
 
 
 def _throughput(command: Bench) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from arrive.commands.files import write_json
+from arrive.commands.files import write_result
 from arrive.commands.policies import read_policy
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
@@ -56,7 +56,7 @@ def energy(command: Energy) -> None:
     for content in measured:
         print_energy(content)
     result = energy_content(measured, command.robots, command.distance, command.seed)
-    write_json(command.json, result)
+    write_result(command.json, result)
     picture = command.json.with_suffix(".png")
     with whole(picture) as file:
         energy_figure(result).savefig(file, format="png", dpi=110)

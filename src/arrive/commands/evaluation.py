@@ -11,15 +11,14 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from arrive.commands.files import write_json
+from arrive.commands.files import write_result
 from arrive.commands.policies import read_policy
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation import difficulty
-from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cells_of, choose_cells
-from arrive.evaluation.arrival import evaluate as evaluate_policy
+from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cells_of, choose_cells, evaluate
 from arrive.evaluation.difficulty import difficulty_cells
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved, measure_reach
@@ -42,7 +41,7 @@ GRID_OPTIONS = {"target_distance": "distances", "direction": "directions", "time
 """Options of the protocol `reach`, and the fields of `ReachGrid` that they set."""
 
 
-def evaluate(command: Eval) -> None:
+def run_eval(command: Eval) -> None:
     """Evaluate policies, print success rates and causes of failure, and write JSON files and pictures."""
     if command.json and command.others:
         raise ArriveError("--json works with a single policy; evaluate several one by one")
@@ -74,7 +73,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
         keep_longer(command.json, len(cells) * command.episodes, command.force)
     with Progress(transient=True) as bar:
         steps = bar.add_task(f"{len(cells)} x {command.episodes} episodes", total=None)
-        answer = evaluate_policy(
+        answer = evaluate(
             policy,
             cells,
             command.episodes,
@@ -87,7 +86,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
     for family, _ in chosen:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
-        write_json(command.json, _arrival_content(command, policy, answer))
+        write_result(command.json, _arrival_content(command, policy, answer))
     _write_pictures(command.pictures or policy.folder / "pictures", answer.episodes, films=1)
 
 
@@ -120,7 +119,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     for results in answer.results.values():
         print(why_stuck(results))
     if out is not None:
-        write_json(out, answer.content)
+        write_result(out, answer.content)
     pictures = command.pictures or folder / ("pictures" if one else DIFFICULTY_PICTURES)
     _write_pictures(pictures, answer.episodes, len(chosen), names=list(answer.results))
     if command.json is None and not one:
@@ -156,7 +155,7 @@ def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
         )
     for name, entry in content["families"].items():
         _print_reach(name, entry)
-    write_json(out, content)
+    write_result(out, content)
     if command.json is None:
         _write_card(folder)
 

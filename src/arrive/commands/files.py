@@ -6,7 +6,7 @@ from typing import Any
 from arrive import files
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
+def write_result(path: Path, content: dict[str, Any]) -> None:
     """Write a result, creating its folder if needed, and print its path.
 
     Raises:

@@ -10,7 +10,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from arrive.commands.energy import load_policies, shown_on, with_interval
-from arrive.commands.files import write_json
+from arrive.commands.files import write_result
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.evaluation.gait import check_gait_arguments, gait_content, measure_gait
@@ -49,7 +49,7 @@ def gait(command: Gait) -> None:
     for content in measured:
         print_gait(content)
     result = gait_content(measured, command.robots, command.seconds, command.seed)
-    write_json(command.json, result)
+    write_result(command.json, result)
     picture = command.json.with_suffix(".png")
     with whole(picture) as file:
         gait_figure(result).savefig(file, format="png", dpi=110)

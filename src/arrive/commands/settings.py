@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from arrive.fields import Row, rows
+from arrive.fields import FieldInfo, rows
 from arrive.recipe import DEFAULT_PRESET, make_config
 from arrive.task.registry import TASKS
 from arrive.terrain import parse_families
@@ -25,7 +25,7 @@ def config_text() -> str:
     return "\n".join(lines) + "\n"
 
 
-def sections() -> Iterator[tuple[str, list[Row]]]:
+def sections() -> Iterator[tuple[str, list[FieldInfo]]]:
     """Headings with rows: first the fields that all tasks share, then each task's own."""
     for index, name in enumerate(TASKS):
         everything = list(rows(make_config(parse_families("flat"), task=name)))
@@ -34,7 +34,7 @@ def sections() -> Iterator[tuple[str, list[Row]]]:
         yield f"with --task {name}:", [row for row in everything if row.path.startswith(TASK)]
 
 
-def _described(row: Row) -> str:
+def _described(row: FieldInfo) -> str:
     unit, limits = f" [{row.unit}]" if row.unit else "", f" ({row.range})" if row.range else ""
     head = f"  {row.path} = {_written(row.value)}{unit}{limits}"
     indent = " " * 6

@@ -23,7 +23,7 @@ def showreel(command: Showreel) -> None:
     """
     need("onnxruntime")
     from arrive.play.skills import open_skill
-    from arrive.render.showreel import frames, record, write_showreel
+    from arrive.render.showreel import frames, record_episode, write_showreel
     from arrive.terrain import FAMILIES
     from arrive.terrain.ground import Ground
 
@@ -34,7 +34,7 @@ def showreel(command: Showreel) -> None:
             ground = skill.ground("evaluation")
         else:
             ground = Ground(FAMILIES[family], skill.value(family), "evaluation")
-        episode = record(skill, ground)
+        episode = record_episode(skill, ground)
         if episode is None:
             print(f"{name}: left out, it does not arrive on {ground.words}")
             continue

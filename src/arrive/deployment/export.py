@@ -11,7 +11,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from arrive.config import Config, saved_config, to_dict
-from arrive.deployment.onnx_file import PREFIX, seal
+from arrive.deployment.onnx_file import PREFIX, append_checksum
 from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
 from arrive.deployment.specs import MOTOR_FIGURES
 from arrive.errors import ArriveError
@@ -53,7 +53,7 @@ def export_policy(policy: Policy, out: Path) -> None:
     helper.set_model_props(model, {PREFIX + name: json.dumps(value) for name, value in sections.items()})
     onnx.checker.check_model(model)
     with whole(out) as file:
-        file.write_bytes(seal(model.SerializeToString()))
+        file.write_bytes(append_checksum(model.SerializeToString()))
         read_policy_file(file)
 
 

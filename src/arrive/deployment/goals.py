@@ -37,7 +37,7 @@ class Target:
     """Time of arrival on the clock of `now_s` [s]."""
 
     def __post_init__(self) -> None:
-        _set(self, position_w=_point(self.position_w), arrive_at_s=number(self.arrive_at_s))
+        _set(self, position_w=_point(self.position_w), arrive_at_s=to_number(self.arrive_at_s))
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Joystick:
     """Heading in the world to which `forward` refers, e.g. the operator's; None for the robot's own [rad]."""
 
     def __post_init__(self) -> None:
-        heading = None if self.heading_rad is None else number(self.heading_rad)
-        _set(self, forward=number(self.forward), left=number(self.left), heading_rad=heading)
+        heading = None if self.heading_rad is None else to_number(self.heading_rad)
+        _set(self, forward=to_number(self.forward), left=to_number(self.left), heading_rad=heading)
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,13 @@ class WayPoints:
             points = tuple(_point(point) for point in self.points_w)
         except Exception:
             points = ()
-        _set(self, points_w=points, speed=number(self.speed), radius=number(self.radius))
+        _set(self, points_w=points, speed=to_number(self.speed), radius=to_number(self.radius))
 
 
 Goal = Target | Joystick | WayPoints
 
 
-def number(value: Any) -> float:
+def to_number(value: Any) -> float:
     """The value as a float, or NaN if it is not a single number. The controller refuses NaN with a reason."""
     try:
         return float(value)
@@ -89,7 +89,7 @@ def number(value: Any) -> float:
 def _point(point: Any) -> tuple[float, ...]:
     """The value as a tuple of floats, empty if it is not a point."""
     try:
-        return tuple(number(x) for x in point)
+        return tuple(to_number(x) for x in point)
     except Exception:
         return ()
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from arrive.deployment.goals import Goal, Joystick, Target, WayPoints, number
+from arrive.deployment.goals import Goal, Joystick, Target, WayPoints, to_number
 from arrive.deployment.heights import GridHeights, HeightMap, HeightSampler, PointCloud
 from arrive.deployment.rotation import heading
 
@@ -60,7 +60,7 @@ GOALS = (Target, Joystick, WayPoints)
 TERRAINS = (GridHeights, HeightMap, PointCloud)
 
 
-def numbers(value: Any) -> np.ndarray:
+def to_array(value: Any) -> np.ndarray:
     """A copy as float64, or an empty array if it is not made of real numbers. Masked entries become NaN."""
     try:
         if isinstance(value, np.ma.MaskedArray):
@@ -72,7 +72,7 @@ def numbers(value: Any) -> np.ndarray:
 
 def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightSampler) -> Frame:
     """Convert the arguments of a step into a frame. This never raises because of the arguments."""
-    values = {name: numbers(_attribute(sensors, name)) for name in ARRAYS[:-1]}
+    values = {name: to_array(_attribute(sensors, name)) for name in ARRAYS[:-1]}
     heights, mistake = NOTHING, _swapped(sensors, goal, terrain)
     try:
         heights, wrong = _heights(terrain, values["base_pos_w"], values["base_quat_w"], grid)
@@ -81,10 +81,10 @@ def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightSamp
         mistake = mistake or f"the {type(terrain).__name__} cannot be read: {type(error).__name__}"
     return Frame(
         **values,
-        sensors_time_s=number(_attribute(sensors, "time_s")),
+        sensors_time_s=to_number(_attribute(sensors, "time_s")),
         heights_w=heights,
-        terrain_time_s=number(_attribute(terrain, "time_s")),
-        now_s=number(now_s),
+        terrain_time_s=to_number(_attribute(terrain, "time_s")),
+        now_s=to_number(now_s),
         goal=_goal(goal),
         mistake=mistake,
     )
@@ -123,11 +123,11 @@ def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightSample
     """Heights at the grid's points, and a message about faulty arguments."""
     kind = type(terrain)
     if issubclass(kind, GridHeights):
-        heights = numbers(terrain.heights_w)
+        heights = to_array(terrain.heights_w)
         return heights, _shapes("GridHeights(heights_w, time_s)", ("heights_w", heights, 1))
     posed = pos.shape == (3,) and quat.shape == (4,) and bool(np.isfinite(pos).all() and np.isfinite(quat).all())
     if issubclass(kind, HeightMap):
-        origin, cell, heights = numbers(terrain.origin_w), number(terrain.resolution_m), numbers(terrain.heights_w)
+        origin, cell, heights = to_array(terrain.origin_w), to_number(terrain.resolution_m), to_array(terrain.heights_w)
         wanted = "HeightMap(origin_w, resolution_m, heights_w, time_s)"
         wrong = _shapes(wanted, ("origin_w", origin, (2,)), ("heights_w", heights, 2))
         if not wrong and not (0.0 < cell < np.inf and np.isfinite(origin).all()):
@@ -136,7 +136,7 @@ def _heights(terrain: Any, pos: np.ndarray, quat: np.ndarray, grid: HeightSample
             return NOTHING, wrong
         return grid.from_map(origin, cell, heights, pos, heading(quat)), ""
     if issubclass(kind, PointCloud):
-        points = numbers(terrain.points_w)
+        points = to_array(terrain.points_w)
         wrong = _shapes("PointCloud(points_w, time_s)", ("points_w", points, (None, 3)))
         return (NOTHING, wrong) if wrong or not posed else (grid.from_cloud(points, pos, heading(quat)), "")
     return NOTHING, ""

@@ -65,7 +65,7 @@ class OnnxFile:
     """The file's SHA-256 in hexadecimal."""
 
 
-def seal(content: bytes) -> bytes:
+def append_checksum(content: bytes) -> bytes:
     """Append a model's checksum to it, as the last entry of its metadata."""
     return content + _seal_of(content)
 

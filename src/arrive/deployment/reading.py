@@ -11,7 +11,7 @@ from arrive.config import saved_config
 from arrive.deployment.onnx_file import read_onnx_file
 from arrive.deployment.policy_file import read_policy_file
 from arrive.learning.checkpoint import Origin
-from arrive.learning.policy import LOG_STD, Policy, assemble
+from arrive.learning.policy import LOG_STD, Policy, build_policy
 
 
 def load_exported(path: Path, device: torch.device | str = "cpu") -> Policy:
@@ -30,7 +30,7 @@ def load_exported(path: Path, device: torch.device | str = "cpu") -> Policy:
     noise = torch.full((joints,), math.log(config.ppo.init_std))
     constants = read_onnx_file(path).weights
     weights = _layers(constants) | _facing(constants)
-    return assemble(origin, weights | {LOG_STD: noise}, path, device)
+    return build_policy(origin, weights | {LOG_STD: noise}, path, device)
 
 
 def _layers(constants: dict[str, np.ndarray]) -> dict[str, Tensor]:

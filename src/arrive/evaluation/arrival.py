@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from arrive.build import Placement, build_env
+from arrive.build import OnProgress, Placement, build_env
 from arrive.config import Config, RandomisationConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.episode import Episode
-from arrive.evaluation.playing import Pilot, Played, Progress, episode, in_part, play
+from arrive.evaluation.playing import Pilot, Played, episode, in_part, play
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.memory import check_room
@@ -170,7 +170,7 @@ def evaluate(
     episodes: int,
     seed: int,
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
     setting: Conditions = Conditions(),
     pilot: Callable[[ArriveEnv], Pilot] | None = None,
 ) -> Arrival:

@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from arrive.build import OnProgress
 from arrive.deployment import Controller, GridHeights, Sensors, Target
 from arrive.deployment.policy_file import PolicyFile
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult, evaluate
-from arrive.evaluation.playing import Progress
 from arrive.learning.policy import Policy
 from arrive.task.rotation import rotate, rotate_inverse
 
@@ -115,7 +115,7 @@ def compare(
     episodes: int,
     seed: int,
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
 ) -> list[Comparison]:
     """Measure a policy and its export over the same starts, targets and worlds.
 

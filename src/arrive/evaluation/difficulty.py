@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from arrive.build import OnProgress
 from arrive.config import RandomisationConfig, to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, evaluate
 from arrive.evaluation.episode import Episode
-from arrive.evaluation.playing import Progress, in_part
+from arrive.evaluation.playing import in_part
 from arrive.evaluation.usage import usage_of
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
@@ -96,7 +97,7 @@ def measure_difficulty(
     seed: int,
     levels: int | None = None,
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
     chosen: dict[str, Cell] | None = None,
 ) -> Measurement:
     """Measure success against difficulty on the evaluation layouts, on terrain seeds apart from training's.

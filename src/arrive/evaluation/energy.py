@@ -7,12 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from arrive.build import OnProgress
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
-from arrive.evaluation.playing import Pilot, Progress
+from arrive.evaluation.playing import Pilot
 from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
@@ -66,7 +67,7 @@ def measure_energy(
     way_m: float,
     seed: int,
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Let robots walk a way at each speed and sum up what their motors spend.
 
@@ -105,7 +106,7 @@ def check_energy_arguments(speeds: Sequence[float], robots: int, way_m: float) -
         raise ArriveError(f"--distance must be {LEAST_M:g} to 200 m, not {way_m:g}")
 
 
-def walk(env: ArriveEnv, pilot: Pilot, motors: MeteredPhysics, way_m: float, progress: Progress) -> Walks:
+def walk(env: ArriveEnv, pilot: Pilot, motors: MeteredPhysics, way_m: float, progress: OnProgress) -> Walks:
     """Let every robot walk until it has covered the way, fallen or stopped."""
     n, start_x = env.num_envs, env.state.base_pos_w[:, 0].clone()
     way, mark = (torch.zeros(n, device=env.device) for _ in range(2))

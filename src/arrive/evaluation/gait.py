@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from arrive.build import OnProgress
 from arrive.env import POLICY, ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean
 from arrive.evaluation.footfalls import NAMES, TOGETHER, Footfalls, circular, footfalls, gait_name, hildebrand, steady
-from arrive.evaluation.playing import Pilot, Progress
+from arrive.evaluation.playing import Pilot
 from arrive.evaluation.walking import Heading, check_speeds, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
@@ -51,7 +52,7 @@ def measure_gait(
     seconds: float,
     seed: int,
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Let robots walk steadily and describe their gait at each speed and direction.
 
@@ -101,7 +102,7 @@ def _told(heading: Heading) -> dict[str, float]:
 
 
 def walk_steadily(
-    env: ArriveEnv, pilot: Pilot, seconds: float, progress: Progress = lambda i, n: None
+    env: ArriveEnv, pilot: Pilot, seconds: float, progress: OnProgress = lambda i, n: None
 ) -> GaitRecording:
     """Let all robots walk for `SETTLE_S`, then record them."""
     settle, steps = (round(time / env.control_dt) for time in (SETTLE_S, seconds))

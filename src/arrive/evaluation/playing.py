@@ -1,6 +1,5 @@
 """Plays one episode per robot and keeps what happened."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -8,16 +7,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from arrive.build import OnProgress
 from arrive.env import POLICY, ArriveEnv
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.motion import MotionMeter
 from arrive.physics.world import compile_world
 from arrive.task.final import arrival_radius
 
-Progress = Callable[[int, int], None]
 
-
-def in_part(progress: Progress, index: int, parts: int) -> Progress:
+def in_part(progress: OnProgress, index: int, parts: int) -> OnProgress:
     """The progress of one of several equal parts, told as that of the whole."""
     return lambda done, total: progress(index * total + done, parts * total)
 
@@ -57,7 +55,7 @@ class Played:
     """(n,) each, how the robots moved."""
 
 
-def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: Progress = lambda done, total: None) -> Played:
+def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: OnProgress = lambda done, total: None) -> Played:
     """Let the pilot act until every robot's first episode is over.
 
     Args:

@@ -9,11 +9,11 @@ from typing import Any
 
 import torch
 
+from arrive.build import OnProgress
 from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Arrival, Cell, Conditions, evaluate
 from arrive.evaluation.difficulty import TRIAL, VARIANTS, policy_content, randomised
-from arrive.evaluation.playing import Progress
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
@@ -142,7 +142,7 @@ def measure_reach(
     episodes: int,
     seed: int,
     threads: int = 0,
-    progress: Progress = lambda done, total: None,
+    progress: OnProgress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Send robots to every distance by every time, to every direction, and let them wait.
 
@@ -191,7 +191,7 @@ def effort(grid: ReachGrid, episodes: int, grounds: int) -> int:
 
 
 def _run(
-    policy: Policy, ground: Ground, layout: Layout, batch: Batch, seed: int, threads: int, progress: Progress
+    policy: Policy, ground: Ground, layout: Layout, batch: Batch, seed: int, threads: int, progress: OnProgress
 ) -> Arrival:
     trial = replace(TRIAL, duration_s=batch.time_s, wait_s=batch.wait_s, hold_s=hold_time(check_policy(policy)))
     cells = [Cell(ground.family, None, ground.value, _in_tile(*target)) for target in batch.targets]

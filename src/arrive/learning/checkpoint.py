@@ -50,7 +50,7 @@ class Origin:
         return {"format": FORMAT, **vars(self), "config": to_dict(self.config)}
 
 
-def seal(data: bytes) -> bytes:
+def append_digest(data: bytes) -> bytes:
     """Add the digest of a zip file without a comment, as torch writes it, as its comment."""
     body = data[:-2] + struct.pack("<H", len(SEAL) + DIGEST_BYTES) + SEAL
     return body + hashlib.sha256(body).hexdigest().encode()
@@ -70,7 +70,7 @@ def save_sealed(content: dict[str, Any], path: Path) -> None:
     """
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    write_bytes(path, seal(buffer.getvalue()))
+    write_bytes(path, append_digest(buffer.getvalue()))
 
 
 def load_policy_file(path: Path) -> tuple[Origin, dict[str, Tensor]]:

@@ -27,7 +27,7 @@ LARGEST = 1e39
 PROJECT = "arrive"
 """Project name on Weights & Biases."""
 
-Row = dict[str, str]
+LogRow = dict[str, str]
 
 
 class RunLog:
@@ -155,7 +155,7 @@ class RunLog:
             except OSError as error:
                 raise cannot_write(self._folder / TENSORBOARD_NAME, error) from error
 
-    def _rewrite(self, rows: list[Row]) -> None:
+    def _rewrite(self, rows: list[LogRow]) -> None:
         text = _csv_text(self._columns, rows, header=True)
         write_text(self._path, text)
         self._size = len(text.encode())
@@ -221,7 +221,7 @@ def read_log(folder: Path) -> dict[str, list[float]]:
     return log
 
 
-def _csv_text(columns: list[str], rows: list[Row], header: bool) -> str:
+def _csv_text(columns: list[str], rows: list[LogRow], header: bool) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     if header:
@@ -230,7 +230,7 @@ def _csv_text(columns: list[str], rows: list[Row], header: bool) -> str:
     return text.getvalue()
 
 
-def _read_rows(path: Path) -> tuple[list[str], list[Row]]:
+def _read_rows(path: Path) -> tuple[list[str], list[LogRow]]:
     """Columns and complete rows. An incomplete last line, left by a killed process, is ignored.
 
     Raises:
@@ -263,7 +263,7 @@ def _cells(line: str) -> list[str]:
         return [""]
 
 
-def _problem(row: Row, cells: int, columns: list[str], last: int) -> str | None:
+def _problem(row: LogRow, cells: int, columns: list[str], last: int) -> str | None:
     """The fault of a row of the log, or None."""
     if cells != len(columns):
         return f"it has {cells} values, but the first line has {len(columns)} names"

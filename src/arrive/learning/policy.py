@@ -74,10 +74,10 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     path = find_policy(path)
     path = path / POLICY_NAME if path.is_dir() else path
     require_imports(path.parent)
-    return assemble(*load_policy_file(path), path, device)
+    return build_policy(*load_policy_file(path), path, device)
 
 
-def assemble(origin: Origin, weights: dict[str, Tensor], path: Path, device: torch.device | str) -> Policy:
+def build_policy(origin: Origin, weights: dict[str, Tensor], path: Path, device: torch.device | str) -> Policy:
     """Make a policy from an actor's weights.
 
     Raises:

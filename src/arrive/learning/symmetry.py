@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from arrive.env import ArriveEnv
-from arrive.task.observations import joint_mirror, joint_reverse
+from arrive.task.observations import mirror_map, reverse_map
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ def make_reflections(env: ArriveEnv) -> tuple[Reflection, ...]:
     """Front-back reflection, if the robot has that symmetry, and left-right reflection."""
     observer, robot = env.observer, env.robot
     ahead, left = (observer.column(*side) for side in env.task.sides)
-    mirror = _reflection(observer.mirror(), joint_mirror(robot), left)
+    mirror = _reflection(observer.mirror(), mirror_map(robot), left)
     if robot.joint_reverse is None:
         return (mirror,)
-    return _reflection(observer.reverse(), joint_reverse(robot), ahead), mirror
+    return _reflection(observer.reverse(), reverse_map(robot), ahead), mirror
 
 
 def _reflection(observation: tuple[Tensor, Tensor], joints: tuple[tuple[int, float], ...], side: int) -> Reflection:

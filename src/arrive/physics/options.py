@@ -9,7 +9,7 @@ import mujoco
 from arrive.actuation.clip import MotorClip
 from arrive.actuation.motor import MotorKind
 from arrive.errors import ArriveError
-from arrive.fields import Count, NotNegative, Positive, Range, Rule, check
+from arrive.fields import AtLeastOne, NotNegative, Positive, Range, Rule, check_fields
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 
@@ -23,7 +23,7 @@ class PhysicsConfig:
 
     timestep_s: Positive = 0.005
     """Physics step [s]."""
-    decimation: Count = 4
+    decimation: AtLeastOne = 4
     """Physics steps per policy step."""
     engine: Literal["auto", "mujoco", "warp"] = "auto"
     """`mujoco` runs on CPU threads, `warp` on a GPU (or, slowly, on a CPU); `auto` chooses by the device."""
@@ -37,9 +37,9 @@ class PhysicsConfig:
     or `none`."""
     leg_contacts: bool = True
     """Whether the robot's legs collide with each other. `false` lets them pass through each other, for comparison."""
-    solver_iterations: Count = 15
+    solver_iterations: AtLeastOne = 15
     """Largest number of Newton iterations of the contact solver."""
-    line_search_iterations: Count = 40
+    line_search_iterations: AtLeastOne = 40
     """Largest number of line-search iterations of the contact solver. With 10, bad solutions throw the robot."""
     solver_tolerance: NotNegative = 1e-5
     """Newton iterations stop when the scaled improvement falls below this."""
@@ -52,7 +52,7 @@ class PhysicsConfig:
     """Time constant of contacts, at least two physics steps, because MuJoCo raises smaller ones [s]."""
     contact_impedance: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.97
     """Hardness of contacts, 0 to 1. With softer contacts a standing robot's feet creep faster."""
-    max_contacts: Count = 64
+    max_contacts: AtLeastOne = 64
     """Room for contacts per robot in MuJoCo Warp. The CPU engine needs no limit."""
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ def apply_options(spec: mujoco.MjSpec, config: PhysicsConfig) -> None:
     Raises:
         ArriveError: a setting is out of range, or MuJoCo would silently raise the time constant of a joint limit.
     """
-    check(config)
+    check_fields(config)
     option = spec.option
     option.timestep = config.timestep_s
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

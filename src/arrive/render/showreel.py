@@ -26,7 +26,7 @@ REST_S = 0.8
 """How long a robot is shown at its target [s]."""
 
 
-def record(skill: Skill, ground: Ground) -> Episode | None:
+def record_episode(skill: Skill, ground: Ground) -> Episode | None:
     """The way to the target beyond a terrain, by the controller of a real robot; None where it does not arrive."""
     for share in EASIER:
         easier = Ground(ground.family, max(share * ground.value, ground.family.lowest), ground.layout)

@@ -53,7 +53,7 @@ def collide_capsule(body: mujoco.MjsBody, start: Vec3, end: Vec3, radius: float,
     collide(body, mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *end], size=[radius, 0, 0], **properties)
 
 
-def show(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties: Any) -> None:
+def add_visual(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties: Any) -> None:
     """Add a geom that is only looked at."""
     body.add_geom(type=shape, group=VISUAL_GROUP, contype=0, conaffinity=0, mass=0.0, **properties)
 
@@ -61,6 +61,6 @@ def show(body: mujoco.MjsBody, shape: mujoco.mjtGeom, **properties: Any) -> None
 def show_collision_shapes(body: mujoco.MjsBody) -> None:
     """Add visible copies of the collision shapes to a body and all its descendants."""
     for geom in [geom for geom in body.geoms if geom.group == COLLISION_GROUP]:
-        show(body, geom.type, fromto=geom.fromto, pos=geom.pos, quat=geom.quat, size=geom.size, rgba=geom.rgba)
+        add_visual(body, geom.type, fromto=geom.fromto, pos=geom.pos, quat=geom.quat, size=geom.size, rgba=geom.rgba)
     for child in body.bodies:
         show_collision_shapes(child)

@@ -18,10 +18,10 @@ from arrive.robots.parts import (
     Inertial,
     Vec3,
     add_hinge,
+    add_visual,
     collide,
     collide_capsule,
     set_inertial,
-    show,
     show_collision_shapes,
 )
 from arrive.robots.robot import Robot
@@ -150,11 +150,11 @@ def _show_shells(base: mujoco.MjsBody) -> None:
     """The rounded flanks of the trunk, and the hip and thigh drives, which touch nothing here."""
     capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
     for side in (1, -1):
-        show(base, capsule, fromto=(-0.16, 0.05 * side, 0.0, 0.2, 0.05 * side, 0.0), size=[0.05, 0, 0], **SHELL)
+        add_visual(base, capsule, fromto=(-0.16, 0.05 * side, 0.0, 0.2, 0.05 * side, 0.0), size=[0.05, 0, 0], **SHELL)
     for hip, leg in zip(base.bodies, LEGS, strict=True):
         out = 0.1 * leg.y_sign
-        show(hip, cylinder, fromto=(-0.03, 0.0, 0.0, 0.03, 0.0, 0.0), size=[0.045, 0, 0], **LIMB)
-        show(hip, cylinder, fromto=(0.0, 0.6 * out, 0.0, 0.0, out, 0.0), size=[0.046, 0, 0], **LIMB)
+        add_visual(hip, cylinder, fromto=(-0.03, 0.0, 0.0, 0.03, 0.0, 0.0), size=[0.045, 0, 0], **LIMB)
+        add_visual(hip, cylinder, fromto=(0.0, 0.6 * out, 0.0, 0.0, out, 0.0), size=[0.046, 0, 0], **LIMB)
 
 
 def standing_height() -> float:

@@ -13,7 +13,7 @@ from arrive.task.observations import ObservationConfig, ObservationTerm, observa
 from arrive.task.rewards import STALL_SPEED, PositionRewards, distance_to_target, task_share
 from arrive.task.state import Command, State
 from arrive.task.targets import REACH, next_valid, sample_targets
-from arrive.task.task import ConstantCommand, Outcome, Setting, Start, TaskConfig, Trial
+from arrive.task.task import ConstantCommand, Outcome, Start, TaskConfig, TaskContext, Trial
 
 OBSTACLE_HEIGHT = 0.6
 """Ground this much higher than both robot and target, on the line between them, is an obstacle in the way [m]."""
@@ -97,14 +97,14 @@ class FinalPositionTask:
     sides = (("target", 0), ("target", 1))
     bootstraps = False
 
-    def __init__(self, config: PositionConfig, setting: Setting, trial: Trial | ConstantCommand | None = None):
+    def __init__(self, config: PositionConfig, context: TaskContext, trial: Trial | ConstantCommand | None = None):
         """Build the task with no commands yet."""
         self._config = config
-        self._dt = setting.control_dt
-        self._rasters = setting.rasters
-        self._generator = setting.generator
+        self._dt = context.control_dt
+        self._rasters = context.rasters
+        self._generator = context.generator
         self._trial = trial
-        device, num_envs = setting.rasters.heights.device, setting.num_envs
+        device, num_envs = context.rasters.heights.device, context.num_envs
         self._command = Command(
             target_w=torch.zeros(num_envs, 3, device=device),
             time_left_s=torch.zeros(num_envs, device=device),

@@ -92,13 +92,13 @@ AXIAL_REVERSE = ((0, 1.0), (1, -1.0), (2, -1.0))
 XYZ = ("x", "y", "z")
 
 
-def joint_mirror(robot: Robot) -> tuple[tuple[int, float], ...]:
+def mirror_map(robot: Robot) -> tuple[tuple[int, float], ...]:
     """The robot's joint mirror map by index."""
     index = {name: i for i, name in enumerate(robot.joint_names)}
     return tuple((index[partner], sign) for partner, sign in robot.joint_mirror)
 
 
-def joint_reverse(robot: Robot) -> tuple[tuple[int, float], ...]:
+def reverse_map(robot: Robot) -> tuple[tuple[int, float], ...]:
     """The robot's front-back map by index. For a robot without that symmetry, every joint maps to itself."""
     index = {name: i for i, name in enumerate(robot.joint_names)}
     partners = robot.joint_reverse or tuple((name, 1.0) for name in robot.joint_names)
@@ -128,7 +128,7 @@ def around_command(
     builds.
     """
     joints = robot.joint_names
-    joint_maps = joint_mirror(robot), joint_reverse(robot)
+    joint_maps = mirror_map(robot), reverse_map(robot)
     grid, clip, offset = HeightGrid(config.heights), config.heights.clip, height_offset(robot)
     cells = tuple(f"({x:g}, {y:g})" for x, y in grid.points.tolist())
     mirror_cells = tuple((i, 1.0) for i in grid.mirror())

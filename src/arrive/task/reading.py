@@ -44,7 +44,7 @@ class Reader:
             joint_torque=readings.joint_torque,
             foot_vel_w=readings.foot_vel_w,
             foot_acc_w=(readings.foot_vel_w - memory.foot_vel) * (moving / self._dt)[:, None, None],
-            foot_landed_s=landed_s,
+            landed_air_s=landed_s,
             action=memory.action,
             previous_action=memory.previous_action,
             crash_contacts=readings.crash_contacts,

@@ -38,7 +38,7 @@ class State:
     """(n, feet, 3) [m/s]."""
     foot_acc_w: Tensor
     """(n, feet, 3) change of foot velocity over the policy step [m/s^2]."""
-    foot_landed_s: Tensor
+    landed_air_s: Tensor
     """(n, feet) air time of feet that have just landed, 0 for the others [s]."""
     action: Tensor
     """(n, joints) the action just applied, in units of the action scale."""

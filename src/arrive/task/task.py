@@ -98,7 +98,7 @@ class ConstantCommand:
 
 
 @dataclass(frozen=True)
-class Setting:
+class TaskContext:
     """What the environment gives to a task."""
 
     num_envs: int
@@ -118,7 +118,7 @@ class Task(Protocol):
     """Whether to bootstrap the value at a time-out. True for tasks that do not observe the time left. The paper argues
     against bootstrapping where the time is observed."""
 
-    def __init__(self, config: Any, setting: Setting, trial: Trial | ConstantCommand | None = None) -> None:
+    def __init__(self, config: Any, context: TaskContext, trial: Trial | ConstantCommand | None = None) -> None:
         """Build the task with no commands yet. A trial or a constant command replaces random commands."""
 
     @staticmethod

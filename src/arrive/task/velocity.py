@@ -19,7 +19,7 @@ from arrive.task.observations import ObservationConfig, ObservationTerm, around_
 from arrive.task.rewards import STALL_SPEED, Cost, Reward, term
 from arrive.task.rotation import yaw_of
 from arrive.task.state import State
-from arrive.task.task import ConstantCommand, Outcome, Setting, Start, TaskConfig, Trial
+from arrive.task.task import ConstantCommand, Outcome, Start, TaskConfig, TaskContext, Trial
 from arrive.terrain.tile import RASTER_HALF
 
 WALK_TO_RISE = 4.0
@@ -83,7 +83,7 @@ def air_time(state: State, command: VelocityCommand, *, least_s: float) -> Tenso
 
     As in legged_gym, it is paid at an event and still multiplied by the time step, like a rate.
     """
-    landed = state.foot_landed_s
+    landed = state.landed_air_s
     return ((landed - least_s) * (landed > 0)).sum(-1) * (command.speed.abs() > 0.1)
 
 
@@ -159,11 +159,11 @@ class VelocityTask:
     sides = (("speed_command", 0), ("yaw_rate_command", 0))
     bootstraps = True
 
-    def __init__(self, config: VelocityConfig, setting: Setting, trial: Trial | ConstantCommand | None = None):
+    def __init__(self, config: VelocityConfig, context: TaskContext, trial: Trial | ConstantCommand | None = None):
         """Build the task with no commands yet."""
         self._config, self._trial = config, trial
-        self._generator = setting.generator
-        n, device = setting.num_envs, setting.rasters.heights.device
+        self._generator = context.generator
+        n, device = context.num_envs, context.rasters.heights.device
         self._command = VelocityCommand(
             speed=torch.zeros(n, device=device),
             heading=torch.zeros(n, device=device),
