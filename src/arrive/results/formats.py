@@ -1,23 +1,17 @@
-"""What result files hold, as far as a report, a card or another command reads it."""
+"""The values of result files that a report, a card or another command reads, as types."""
 
-from collections.abc import Callable
 from typing import Annotated, Any, NotRequired, TypedDict
 
-from arrive.errors import ArriveError
-from arrive.fields import Range, Share
-from arrive.results.check import check_data
+from arrive.fields import AtLeastOne, NotNegative, Positive, Range, Share
 
-NotNegative = Annotated[float, Range(0.0, 1e9)]
-Positive = Annotated[float, Range(0.0, 1e9, above=True)]
-Value = Annotated[float, Range(-1e9, 1e9)]
-"""Of a length, an angle, a speed or a cost."""
+Quantity = Annotated[float, Range(-1e9, 1e9)]
+"""A length, an angle, a speed or a cost."""
 Count = Annotated[int, Range(0, 2**53)]
-AtLeastOne = Annotated[int, Range(1, 2**53)]
 Samples = Annotated[float, Range(0.0, 1e15)]
-Pair = tuple[Value, Value]
-Interval = tuple[Share, Share]
+Pair = tuple[Quantity, Quantity]
+ShareInterval = tuple[Share, Share]
 """Ends of the 95 % interval of a share."""
-Estimate = tuple[Value, Value, Value]
+Estimate = tuple[Quantity, Quantity, Quantity]
 """A value with the ends of its 95 % interval."""
 Quartiles = tuple[NotNegative, NotNegative, NotNegative]
 
@@ -25,10 +19,10 @@ Quartiles = tuple[NotNegative, NotNegative, NotNegative]
 class Level(TypedDict):
     """Success at one value of a terrain's parameter."""
 
-    value: Value
+    value: Quantity
     episodes: AtLeastOne
     success: Share
-    interval: Interval
+    interval: ShareInterval
     failures: dict[str, Count]
 
 
@@ -37,54 +31,54 @@ class Solved(TypedDict):
 
     levels: list[Level]
     unit: str
-    max_at_95: Value | None
-    max_at_80: Value | None
-    max_at_50: Value | None
+    max_at_95: Quantity | None
+    max_at_80: Quantity | None
+    max_at_50: Quantity | None
 
 
 class Profile(TypedDict):
     """Mean speed over time; as many speeds as times."""
 
     time_s: list[NotNegative]
-    mean_m_s: list[Value]
+    mean_m_s: list[Quantity]
 
 
 class Usage(TypedDict):
-    """How the successful episodes of one level went; without episodes nothing but the value."""
+    """Time, path and speed of the successful episodes of one level; only the value if there are none."""
 
-    value: Value
+    value: Quantity
     episodes: Count
     arrival_time_s: NotRequired[Quartiles]
     path_length_m: NotRequired[Quartiles]
     speed_profile: NotRequired[Profile]
-    motion: NotRequired[dict[str, Value | None]]
+    motion: NotRequired[dict[str, Quantity | None]]
 
 
 class MeasuredPolicy(TypedDict):
-    """The policy that was measured, and how its robots spent their time by terrain family."""
+    """The measured policy, and the figures of its successful episodes by terrain family."""
 
     samples: Samples
     usage: dict[str, list[Usage]]
 
 
-class Trial(TypedDict):
-    """What robots are asked for."""
+class TrialProtocol(TypedDict):
+    """The command of every episode."""
 
     duration_s: Positive
     target: Pair
-    speed: Value
-    walk: Value
+    speed: Quantity
+    walk: Quantity
 
 
-class Start(TypedDict):
-    """How robots and their worlds differ."""
+class RandomisationProtocol(TypedDict):
+    """What differs between robots and their worlds."""
 
     friction: Pair
     payload_kg: Pair
-    start_yaw_rad: Value
-    start_offset: Value
-    start_speed: Value
-    start_joint_scale: Value
+    start_yaw_rad: Quantity
+    start_offset: Quantity
+    start_speed: Quantity
+    start_joint_scale: Quantity
 
 
 class DifficultyProtocol(TypedDict):
@@ -93,39 +87,39 @@ class DifficultyProtocol(TypedDict):
     episodes: AtLeastOne
     seed: Count
     levels: AtLeastOne | None
-    terrain_m: Value
-    trial: Trial
-    arrival_radius_m: Value
+    terrain_m: Quantity
+    trial: TrialProtocol
+    arrival_radius_m: Quantity
     worlds_per_level: AtLeastOne
-    randomisation: Start
+    randomisation: RandomisationProtocol
     observation_noise: bool
     success: str
     note: str
 
 
 class ExportedDifficulty(TypedDict):
-    """What an exported file says of its measurement."""
+    """The measurement in an exported file."""
 
     families: dict[str, Solved]
     protocol: DifficultyProtocol
     commit: str
 
 
-class Difficulty(ExportedDifficulty):
+class DifficultyResult(ExportedDifficulty):
     """difficulty.json, of `arrive eval --protocol difficulty`."""
 
     policy: MeasuredPolicy
 
 
 class Training(TypedDict):
-    """What an exported file says of its training."""
+    """The training in an exported file."""
 
     config: dict[str, Any]
     commit: str
     samples: Samples
 
 
-class Record(TypedDict):
+class RunRecord(TypedDict):
     """config.json of a run."""
 
     config: dict[str, Any]
@@ -143,13 +137,13 @@ class ShippedTask(TypedDict):
 
 
 class ShippedTerrain(TypedDict):
-    """What a shipped policy was trained on."""
+    """The terrain that a shipped policy was trained on."""
 
     families: list[str]
 
 
 class ShippedConfig(TypedDict):
-    """What `arrive list` says of a shipped policy."""
+    """The fields of a shipped policy's configuration that `arrive list` shows."""
 
     robot: str
     terrain: ShippedTerrain
@@ -157,7 +151,7 @@ class ShippedConfig(TypedDict):
 
 
 class Shipped(TypedDict):
-    """config.json of a shipped policy, as far as `arrive list` reads it without loading the code of the tasks."""
+    """config.json of a shipped policy. `arrive list` reads it without loading the code of the tasks."""
 
     config: ShippedConfig
 
@@ -169,7 +163,7 @@ class AtDistance(TypedDict):
     time_s: Positive
     episodes: AtLeastOne
     success: Share
-    interval: Interval
+    interval: ShareInterval
     failures: dict[str, Count]
     stood_at_m: NotRequired[NotNegative]
 
@@ -177,29 +171,29 @@ class AtDistance(TypedDict):
 class InDirection(TypedDict):
     """Success in one direction."""
 
-    direction_deg: Value
+    direction_deg: Quantity
     episodes: AtLeastOne
     success: Share
-    interval: Interval
+    interval: ShareInterval
     failures: dict[str, Count]
 
 
 class Waiting(TypedDict):
-    """How many of the robots that arrived stayed; share and interval are None where nobody arrived."""
+    """Robots that arrived, and those of them that stayed; share and interval are None if no robot arrived."""
 
     wait_s: NotNegative
     time_s: Positive
     arrived: Count
     stayed: Count
     share: Share | None
-    interval: Interval | None
+    interval: ShareInterval | None
     failures: dict[str, Count]
 
 
 class Reached(TypedDict):
     """One terrain family of reach.json."""
 
-    value: Value
+    value: Quantity
     distances: list[AtDistance]
     directions: list[InDirection]
     waiting: Waiting
@@ -211,15 +205,15 @@ class ReachProtocol(TypedDict):
     episodes: AtLeastOne
     seed: Count
     layout: str
-    distances_m: list[Value]
-    directions_deg: list[Value]
-    times_s: list[Value]
+    distances_m: list[Quantity]
+    directions_deg: list[Quantity]
+    times_s: list[Quantity]
     success: str
     by_distance: str
     by_direction: str
 
 
-class Reach(TypedDict):
+class ReachResult(TypedDict):
     """reach.json, of `arrive eval --protocol reach`."""
 
     families: dict[str, Reached]
@@ -227,10 +221,10 @@ class Reach(TypedDict):
     commit: str
 
 
-class Walk(TypedDict):
-    """What walking at one speed costs; None where fewer than two robots walked."""
+class WalkingCost(TypedDict):
+    """Cost of walking at one speed; None if fewer than two robots walked."""
 
-    told_m_s: Value
+    told_m_s: Quantity
     robots: AtLeastOne
     fell: Count
     stood: Count
@@ -242,8 +236,8 @@ class Walk(TypedDict):
     time_s: Estimate | None
 
 
-class Measured(TypedDict):
-    """Where a policy is from that was measured beside others."""
+class ComparedPolicy(TypedDict):
+    """One of several measured policies, and its training."""
 
     name: str
     task: str
@@ -252,14 +246,14 @@ class Measured(TypedDict):
     commit: str
 
 
-class Walker(Measured):
+class EnergyPolicy(ComparedPolicy):
     """One policy of energy.json."""
 
-    speeds: list[Walk]
+    speeds: list[WalkingCost]
 
 
 class Commands(TypedDict):
-    """What each task is told, in words."""
+    """The command of each task, in words."""
 
     velocity: str
     final: str
@@ -276,55 +270,55 @@ class EnergyProtocol(TypedDict):
     counted: str
 
 
-class Energy(TypedDict):
+class EnergyResult(TypedDict):
     """energy.json, of `arrive energy`."""
 
-    policies: list[Walker]
+    policies: list[EnergyPolicy]
     protocol: EnergyProtocol
     commit: str
 
 
-class Gait(TypedDict):
-    """Steps at one speed and direction; `gait` is None where too few robots made whole strides."""
+class GaitRow(TypedDict):
+    """The gait at one speed and direction; `gait` is None if too few robots made complete strides."""
 
-    told_m_s: Value
-    direction_deg: Value
+    told_m_s: Quantity
+    direction_deg: Quantity
     fell: Count
     gait: str | None
 
 
 class Diagram(TypedDict):
-    """When the feet of a typical robot stand: 0 or 1 per foot and step."""
+    """Contacts of the feet of a typical robot: 0 or 1 per foot and step."""
 
     dt_s: Positive
     stands: list[list[Annotated[int, Range(0, 1)]]]
 
 
 class Hildebrand(TypedDict):
-    """Where a gait lies between Hildebrand's axes [strides]."""
+    """A gait's position in Hildebrand's diagram [strides]."""
 
     hind_duty: Share
-    fore_after_hind: Value
+    fore_after_hind: Quantity
 
 
-class Steps(Gait):
-    """A row of robots that walk."""
+class SteppingRow(GaitRow):
+    """A row with a gait, with its figures."""
 
     duty: list[Estimate]
-    phase: list[Value]
+    phase: list[Quantity]
     speed_m_s: Estimate
     stride_frequency_hz: Estimate
     stride_length_m: Estimate
-    travel_deg: Value
+    travel_deg: Quantity
     hildebrand: Hildebrand | None
     diagram: Diagram
 
 
-class Stepper(Measured):
+class GaitPolicy(ComparedPolicy):
     """One policy of gait.json."""
 
     feet: list[str]
-    gaits: list[Gait]
+    gaits: list[GaitRow]
 
 
 class GaitProtocol(TypedDict):
@@ -337,10 +331,10 @@ class GaitProtocol(TypedDict):
     together: NotNegative
 
 
-class Gaits(TypedDict):
+class GaitResult(TypedDict):
     """gait.json, of `arrive gait`."""
 
-    policies: list[Stepper]
+    policies: list[GaitPolicy]
     protocol: GaitProtocol
     commit: str
 
@@ -349,7 +343,7 @@ class CriticCurve(TypedDict):
     """Explained variance of the value function over samples; as many values as samples."""
 
     samples: list[Samples]
-    explained_variance: list[Value]
+    explained_variance: list[Quantity]
 
 
 class StabilityRun(TypedDict):
@@ -358,8 +352,8 @@ class StabilityRun(TypedDict):
     ground: str
     variant: str
     success: Share
-    explained_variance: Value
-    value_loss: Value
+    explained_variance: Quantity
+    value_loss: Quantity
     curve: CriticCurve
 
 
@@ -374,7 +368,7 @@ class StabilityProtocol(TypedDict):
     episodes: AtLeastOne
 
 
-class Stability(TypedDict):
+class StabilityResult(TypedDict):
     """stability.json, of benchmarks/stability.py."""
 
     runs: list[StabilityRun]
@@ -385,16 +379,16 @@ class Stability(TypedDict):
 
 
 class WindowRun(TypedDict):
-    """One training of time_window.json; the figures of its ways are None where nobody arrived."""
+    """One training of time_window.json; arrival time, path and speed profile are None if no robot arrived."""
 
     window_s: NotNegative
     seed: Count
     success: Share
-    interval: Interval
+    interval: ShareInterval
     arrival_time_s: Quartiles | None
     path_length_m: Quartiles | None
     speed_profile: Profile | None
-    energy: tuple[Walk, ...]
+    energy: tuple[WalkingCost, ...]
 
 
 class WindowProtocol(TypedDict):
@@ -408,140 +402,10 @@ class WindowProtocol(TypedDict):
     seeds: list[Count]
 
 
-class Window(TypedDict):
+class WindowResult(TypedDict):
     """time_window.json, of benchmarks/time_window.py."""
 
     runs: list[WindowRun]
     protocol: WindowProtocol
     command: str
     commit: str
-
-
-def check_usage(content: dict[str, Any]) -> None:
-    """Check what the types of difficulty.json cannot say: levels with episodes have figures, of equal length.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    for name, rows in content["policy"]["usage"].items():
-        for i, row in enumerate(rows):
-            where = f"policy.usage.{name}[{i}]"
-            if row["episodes"]:
-                _need(row, ("arrival_time_s", "path_length_m", "speed_profile"), where)
-            if "speed_profile" in row:
-                _equal(row["speed_profile"], "time_s", "mean_m_s", f"{where}.speed_profile")
-
-
-def check_reach(content: dict[str, Any]) -> None:
-    """Check what the types of reach.json cannot say: every distance was measured once for every time given.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    for name, entry in content["families"].items():
-        where, rows = f"families.{name}", [(row["distance_m"], row["time_s"]) for row in entry["distances"]]
-        times, distances = {time for _, time in rows}, {distance for distance, _ in rows}
-        if len(rows) != len(set(rows)) or len(rows) != len(times) * len(distances):
-            raise ArriveError(f"{where}.distances must have one row for each distance and time")
-        if entry["waiting"]["time_s"] not in times:
-            raise ArriveError(f"{where}.waiting.time_s must be one of the times of {where}.distances")
-        if entry["waiting"]["arrived"]:
-            for key in ("share", "interval"):
-                if entry["waiting"][key] is None:
-                    raise ArriveError(f"{where}.waiting.{key} must not be null, for robots arrived")
-
-
-def check_gaits(content: dict[str, Any]) -> None:
-    """Check what the types of gait.json cannot say: rows with a gait have its figures, and a line for every foot.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    for i, policy in enumerate(content["policies"]):
-        for j, row in enumerate(policy["gaits"]):
-            where = f"policies[{i}].gaits[{j}]"
-            if row["gait"] is not None:
-                check_data(Steps, row, where)
-                if len(row["diagram"]["stands"]) != len(policy["feet"]):
-                    raise ArriveError(f"{where}.diagram.stands must have a list for each of the policy's feet")
-
-
-def check_stability(content: dict[str, Any]) -> None:
-    """Check what the types of stability.json cannot say: curves have as many values as samples, and there are variants.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    if not content["variants"]:
-        raise ArriveError("variants must have at least one name")
-    for i, run in enumerate(content["runs"]):
-        _equal(run["curve"], "samples", "explained_variance", f"runs[{i}].curve")
-
-
-def check_window(content: dict[str, Any]) -> None:
-    """Check what the types of time_window.json cannot say: who arrived has a path, a time and a speed profile.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    for i, run in enumerate(content["runs"]):
-        figures = [run[key] is None for key in ("arrival_time_s", "path_length_m", "speed_profile")]
-        if any(figures) and not all(figures):
-            raise ArriveError(f"runs[{i}] must have arrival_time_s, path_length_m and speed_profile, or none of them")
-        if run["speed_profile"]:
-            _equal(run["speed_profile"], "time_s", "mean_m_s", f"runs[{i}].speed_profile")
-        check_walks(run["energy"], f"runs[{i}].energy")
-
-
-def check_walks(rows: list[dict[str, Any]], where: str) -> None:
-    """Check that a row with a cost has the speed at which it was paid.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    for i, row in enumerate(rows):
-        if row["speed"] is None and (row["torque_sq"] or row["cost_of_transport"]):
-            raise ArriveError(f"{where}[{i}].speed must not be null where there are costs")
-
-
-def check_energy(content: dict[str, Any]) -> None:
-    """Check what the types of energy.json cannot say.
-
-    Raises:
-        ArriveError: it is not so; the message says where.
-    """
-    for i, policy in enumerate(content["policies"]):
-        check_walks(policy["speeds"], f"policies[{i}].speeds")
-
-
-def _need(row: dict[str, Any], names: tuple[str, ...], where: str) -> None:
-    for name in names:
-        if name not in row:
-            raise ArriveError(f"{where}.{name} is missing")
-
-
-def _equal(row: dict[str, Any], first: str, second: str, where: str) -> None:
-    if len(row[first]) != len(row[second]):
-        raise ArriveError(f"{where}.{second} must have as many values as {first}, {len(row[first])}")
-
-
-Check = Callable[[dict[str, Any]], None]
-
-
-def _nothing(content: dict[str, Any]) -> None:
-    pass
-
-
-FORMATS: dict[str, tuple[type, Check]] = {
-    "difficulty": (Difficulty, check_usage),
-    "exported": (ExportedDifficulty, _nothing),
-    "training": (Training, _nothing),
-    "record": (Record, _nothing),
-    "shipped": (Shipped, _nothing),
-    "reach": (Reach, check_reach),
-    "energy": (Energy, check_energy),
-    "gait": (Gaits, check_gaits),
-    "stability": (Stability, check_stability),
-    "time_window": (Window, check_window),
-}
-"""Type and further check of each format. Results call themselves by these names, in `protocol.name`."""

@@ -6,7 +6,7 @@ from typing import Any
 from arrive.errors import ArriveError
 from arrive.files import read_json
 from arrive.results.check import check_data, check_finite
-from arrive.results.formats import FORMATS
+from arrive.results.consistency import FORMATS
 
 
 def read_result(path: Path, kind: str) -> dict[str, Any]:
