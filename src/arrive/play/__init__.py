@@ -1,5 +1,5 @@
-"""`arrive play`: a robot in the browser, run by the deployment controller, to be sent about by a person.
+"""`arrive play`: a simulated robot in the browser. The deployment controller runs it, and a person operates it.
 
-`playground` is the simulation, `pace` its clock and `history` what the plots show; none of them knows viser. `scene`
-draws, `panel` and `stick` are the controls, and `session` ties all together in one thread.
+`playground` is the simulation and `history` has the data of the plots; neither uses viser. `scene` draws, `panel` and
+`stick` are the controls, and `session` runs them all in one thread. `door` and `guard` check what browsers send.
 """

@@ -1,4 +1,4 @@
-"""Colours that tell a robot's legs and joints apart, whatever they are called and however many there are."""
+"""Colours for the legs and joints of any robot."""
 
 from itertools import cycle, islice
 
@@ -16,22 +16,22 @@ PALETTE: tuple[Rgb, ...] = (
 
 
 def palette(count: int) -> list[Rgb]:
-    """As many colours; after the eighth they begin again."""
+    """The first `count` colours. The palette repeats after eight."""
     return list(islice(cycle(PALETTE), count))
 
 
 def hexadecimal(colour: Rgb) -> str:
-    """As a page writes it."""
+    """The colour in HTML notation."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def leg_names(foot_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Prefixes of the feet's names: LF of LF_FOOT, FL of FL_foot; the whole name if it has no prefix."""
+    """Prefixes of the feet's names, such as LF for LF_FOOT. A name without a prefix is used as it is."""
     return tuple(name.partition("_")[0] for name in foot_names)
 
 
 def joint_kinds(joint_names: tuple[str, ...], foot_names: tuple[str, ...]) -> tuple[str, ...]:
-    """A joint's name within its leg: HAA of LF_HAA. Joints of the same kind share it in all legs."""
+    """Name of each joint without its leg, such as HAA for LF_HAA: the same for this joint in all legs."""
     legs = set(leg_names(foot_names))
     split = ((name, *name.partition("_")[::2]) for name in joint_names)
     return tuple(rest if leg in legs and rest else name for name, leg, rest in split)

@@ -1,7 +1,8 @@
-"""Who may open the page: requests are checked against the address that it is served on.
+"""Decides which requests may open the page.
 
-Any page in a browser can ask the browser to talk to 127.0.0.1. So `Host` must be a name of this machine, `Origin` that
-of the page itself, and beyond this machine a token is asked for, in the address first and in a cookie from then on.
+Any web page can make the browser send requests to 127.0.0.1. So the `Host` header must be a name of this machine and
+`Origin` must be this page. If other machines can reach the page, a request also needs a token: in the address the first
+time, later in a cookie.
 """
 
 import hmac
@@ -21,9 +22,9 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 PARAMETER = "token"
 TOKEN_BYTES = 16
 HOST = re.compile(r"(?:\[(?P<address>[0-9A-Fa-f:.]+)\]|(?P<name>[\w.-]+))(?::[0-9]{1,5})?", re.ASCII)
-"""A Host header: a name or an address, and perhaps a port."""
+"""A Host header: a name or an address, with or without a port."""
 SAFE_HEADERS = {"X-Frame-Options": "SAMEORIGIN", "Referrer-Policy": "no-referrer"}
-"""No other page may show this one in a frame, nor be told its address."""
+"""No other page may show this one in a frame, or receive its address with the token."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Door:
     """Address that the page is served on."""
     port: int
     names: frozenset[str]
-    """Host names that a request may ask for; empty where every literal address of this machine may do."""
+    """Host names that a request may use. With `--host 0.0.0.0`, IP addresses are allowed too."""
     token: str
     """Token that a request must have; empty if only this machine can reach the page."""
 
@@ -47,11 +48,11 @@ class Door:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie with the token; ports share cookies, so each has its own."""
+        """Name of the cookie with the token. Browsers share cookies between ports, so the name has the port."""
         return f"arrive_{self.port}"
 
     def refusal(self, headers: Headers, path: str) -> str:
-        """Why a request is turned away, empty where it is let in."""
+        """Why a request is refused; empty if it is allowed."""
         host = _single(headers, "Host")
         if not self._is_named(_host_name(host)):
             return f"this page is not served as {host!r}"
@@ -64,7 +65,7 @@ class Door:
         return ""
 
     def welcome(self, path: str) -> dict[str, str]:
-        """Headers of the answer to a request that is let in."""
+        """Headers of the response to an allowed request."""
         if self.token and self._matches(_parameter(path)):
             return SAFE_HEADERS | {"Set-Cookie": f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"}
         return SAFE_HEADERS
@@ -82,15 +83,15 @@ class Door:
         return self._matches(known) or self._matches(_parameter(path))
 
     def _matches(self, token: str) -> bool:
-        # A request may hold bytes that are no text.
+        # A request may contain bytes that are not UTF-8.
         return hmac.compare_digest(token.encode(errors="backslashreplace"), self.token.encode())
 
 
 def door_of(host: str, port: int) -> Door:
-    """The rules for an address that the page is to be served on.
+    """The rules for a page that is served on this address.
 
     Raises:
-        ArriveError: an empty host, which would mean all addresses, or one that is no name at all.
+        ArriveError: the host is empty, which would mean all addresses.
     """
     if not host.strip():
         raise ArriveError("--host is empty: write 127.0.0.1 for this machine alone, 0.0.0.0 for all its addresses")
@@ -102,7 +103,7 @@ def door_of(host: str, port: int) -> Door:
 
 
 def _is_local(host: str) -> bool:
-    """Whether an address can only be reached from this machine."""
+    """Whether only this machine can reach the address."""
     try:
         places = {place[4][0] for place in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
@@ -123,24 +124,24 @@ def _is_literal(name: str) -> bool:
 
 
 def _single(headers: Headers, name: str) -> str:
-    """The one value of a header, empty where there is none or several."""
+    """The value of a header; empty if it is missing or repeated."""
     values = headers.get_all(name)
     return values[0].strip() if len(values) == 1 else ""
 
 
 def _host_name(host: str) -> str:
-    """The name in a Host header, without its port and brackets; empty where it is none."""
+    """The name in a Host header without port and brackets; empty if the header is malformed."""
     match = HOST.fullmatch(host)
     return (match["address"] or match["name"]).lower() if match else ""
 
 
 def _origins(host: str) -> set[str]:
-    """What a browser says of pages from a host; https is for a proxy in front of the page."""
+    """The valid `Origin` headers for a host. https is for a proxy in front of this server."""
     return {f"{scheme}://{host.lower()}" for scheme in ("http", "https")}
 
 
 def _parameter(path: str) -> str:
-    """The token in an address, empty where there is none."""
+    """The token in an address; empty if there is none."""
     try:
         return parse_qs(urlsplit(path).query).get(PARAMETER, [""])[0]
     except ValueError:

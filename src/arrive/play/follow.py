@@ -1,4 +1,4 @@
-"""The newest network of a run in progress, as soon as it is written."""
+"""Loads the newest network of a run that is still training."""
 
 import threading
 from collections.abc import Callable
@@ -10,17 +10,17 @@ from arrive.play.skills import open_skill
 from arrive.policies import POLICY_NAME, find_policy
 
 PERIOD_S = 2.0
-"""Between two looks at the file [s]."""
+"""Time between two checks of the file [s]."""
 
 
 class Follower:
-    """Looks at the file of a run's policy from a thread of its own, and hands each new network to the simulation."""
+    """Watches the policy file of a run in its own thread, and passes each new network to the simulation."""
 
     def __init__(self, name: str, post: Callable[[Callable[[Playground], None]], None]):
-        """Begin to look at the next call of `run`.
+        """Find the policy file.
 
         Args:
-            post: takes what is to be done between two control steps.
+            post: queues a function that the simulation calls between two control steps.
 
         Raises:
             ArriveError: there is no such run.
@@ -31,12 +31,12 @@ class Follower:
         self._seen = self._stamp()
 
     def run(self, stop: threading.Event) -> None:
-        """Look until told to stop."""
+        """Watch the file until `stop` is set."""
         while not stop.wait(PERIOD_S):
             self.look()
 
     def look(self) -> None:
-        """Read the policy if its file is another one than last time."""
+        """Load the policy if its file has been replaced since the last check."""
         stamp = self._stamp()
         if stamp in (self._seen, None):
             return
@@ -50,7 +50,7 @@ class Follower:
             self._post(lambda playground: playground.learn(skill) if playground.skill.name == skill.name else None)
 
     def _stamp(self) -> tuple[int, int] | None:
-        """Changes when the file is replaced; None if there is no file."""
+        """Modification time and inode, which change when the file is replaced; None if there is no file."""
         try:
             status = Path(self._file).stat()
         except OSError:

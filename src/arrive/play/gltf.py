@@ -1,4 +1,4 @@
-"""One surface as a binary glTF 2.0 file (specification: registry.khronos.org/glTF)."""
+"""Writes one surface as a binary glTF 2.0 file (specification: registry.khronos.org/glTF)."""
 
 import io
 import json
@@ -21,15 +21,15 @@ def glb(
     texture: tuple[Image.Image, np.ndarray] | None = None,
     shades: np.ndarray | None = None,
 ) -> bytes:
-    """A surface of one material.
+    """A surface of one material as a glTF file.
 
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3) indices, counter-clockwise seen from outside.
         colour: red, green and blue in linear light, 0 to 1.
-        roughness: 0 is a mirror, 1 is chalk.
-        normals: (n, 3) unit vectors; without them every face is shaded flat.
-        texture: a picture that repeats, and the places (n, 2) on it, where 1 is its width or height.
+        roughness: of the material, 0 (mirror) to 1 (matt).
+        normals: (n, 3) unit vectors for smooth shading; without them, faces are flat.
+        texture: an image that repeats, and (n, 2) texture coordinates, where 1 is its width or height.
         shades: (n,) factors of the colour at the vertices, 0 to 1.
     """
     arrays = {"POSITION": vertices.astype("<f4")}
@@ -51,7 +51,7 @@ def glb(
 
 
 def _document(arrays: dict[str, np.ndarray], colour: tuple[float, float, float], roughness: float) -> dict[str, Any]:
-    """The file's table of contents, without its pieces' places."""
+    """The JSON part of the file, without the offsets of its buffers."""
     index = {name: number for number, name in enumerate(arrays)}
     primitive = {"attributes": index, "indices": index.pop("indices"), "material": 0}
     vertices = arrays["POSITION"]
@@ -74,7 +74,7 @@ def _document(arrays: dict[str, np.ndarray], colour: tuple[float, float, float],
 
 
 def _pack(document: dict[str, Any], parts: list[bytes]) -> bytes:
-    """The file: a header, the table of contents, and all pieces, each padded to four bytes."""
+    """The file: a header, the JSON part and all buffers, each padded to four bytes."""
     sizes = [len(part) for part in parts]
     padded = [part + bytes(-len(part) % 4) for part in parts]
     starts = np.cumsum([0, *(len(part) for part in padded)]).tolist()

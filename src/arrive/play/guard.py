@@ -1,8 +1,8 @@
-"""What browsers may say: every message is read and checked before viser acts on it.
+"""Checks every message of a browser before viser handles it.
 
-viser trusts its clients: it sets whatever property a message names, passes numbers on as they come, and opens a tunnel
-to the internet on request. So only the messages that the page itself sends are let through, with finite values within
-the range of what they set; all others are dropped.
+viser trusts its clients: a message can set any property to any value, or open a tunnel to the internet. So only the
+messages that this page sends are passed on, with finite values within the range of their control. All others are
+dropped.
 """
 
 import math
@@ -18,25 +18,25 @@ from websockets.asyncio.server import ServerConnection
 from arrive.play.stick import parse_stick
 
 LARGEST_MESSAGE = 16_384
-"""[bytes]; a page's own messages have a few hundred."""
+"""Largest message [bytes]. The page's own messages have a few hundred bytes."""
 LONGEST_TEXT = 200
 FARTHEST = 1e4
 """Largest coordinate [m]."""
 LARGEST_SCREEN = 100_000
-"""[px]."""
+"""Largest width or height of a browser's window [px]."""
 MESSAGES_PER_S = 400
-"""A connection that sends more is heard no faster than this; a page sends up to about 100."""
+"""Messages of one connection are read at most this fast. The page sends up to about 100."""
 PATIENCE = 100
-"""A connection is closed after so many messages that are dropped."""
+"""A connection is closed after this number of dropped messages."""
 Fields = dict[str, Any]
-"""A message without its type."""
+"""The fields of a message, without its type."""
 
 
 class Guard:
-    """Says which messages are let through to a server."""
+    """Decides which messages viser receives."""
 
     def __init__(self) -> None:
-        """Let nothing through until `server` is known."""
+        """Until `server` is set, all messages are dropped."""
         self.server: viser.ViserServer | None = None
         self._checks: dict[str, Callable[[Fields], bool]] = {
             "ViewerCameraMessage": _camera_is_sound,
@@ -49,27 +49,27 @@ class Guard:
         }
 
     def admits(self, raw: bytes | str) -> bool:
-        """Whether viser may see a message; nothing that it holds makes this raise."""
+        """Whether viser receives a message. This never raises, whatever the message contains."""
         if not isinstance(raw, bytes) or self.server is None:
             return False
         try:
             fields = msgspec.msgpack.decode(raw)
             return self._checks[fields.pop("type")](fields)
-        except Exception:  # whatever bytes and structures make a decoder or a check raise
+        except Exception:  # any fault in the bytes or the structure
             return False
 
     def _update_is_sound(self, fields: Fields) -> bool:
-        """A value that its control offers, and nothing but the value."""
+        """The message sets only a value, which its control offers."""
         if set(fields) != {"uuid", "updates"} or set(fields["updates"]) != {"value"}:
             return False
-        # viser has no public way from a message to its control; without this one nothing is let through.
+        # viser has no public way from a message to its control. If this one fails, the message is dropped.
         assert self.server is not None
         control = self.server.gui._gui_input_handle_from_uuid.get(fields["uuid"])
         return control is not None and offers(control, fields["updates"]["value"])
 
 
 def offers(control: Any, value: object) -> bool:
-    """Whether a person could have given a control this value."""
+    """Whether the control can be set to this value on the page."""
     if isinstance(control, viser.GuiButtonHandle | viser.GuiCheckboxHandle):
         return isinstance(value, bool)
     if isinstance(control, viser.GuiSliderHandle):
@@ -80,7 +80,7 @@ def offers(control: Any, value: object) -> bool:
 
 
 def guarded(guard: Guard) -> type[ServerConnection]:
-    """Connections that hear only what a guard admits, and no more of it than a server can work off."""
+    """A class of connections that only receive what the guard admits, at a limited rate."""
 
     class GuardedConnection(ServerConnection):
         _dropped, _second, _heard = 0, 0, 0
@@ -94,7 +94,7 @@ def guarded(guard: Guard) -> type[ServerConnection]:
                     return raw
                 self._dropped += 1
                 if self._dropped > PATIENCE:
-                    # Not closed politely: who does this need not answer, and would be waited for.
+                    # Without a closing handshake: the server would wait for the answer of a hostile client.
                     self.transport.abort()
 
         async def _keep_pace(self) -> None:
@@ -152,5 +152,5 @@ def _are_numbers(values: object, count: int, largest: float = FARTHEST) -> bool:
 
 
 def _is_number(value: object, largest: float = FARTHEST) -> TypeGuard[float]:
-    """Whether a value is one finite number of at most this size."""
+    """Whether a value is a finite number of at most this size."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= largest

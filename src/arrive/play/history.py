@@ -1,4 +1,4 @@
-"""The last seconds of the plotted values."""
+"""The recent past of the plotted values."""
 
 from collections import deque
 
@@ -22,7 +22,7 @@ class History:
         self._rows: deque[Reading] = deque(maxlen=round(WINDOW_S / period_s))
 
     def append(self, reading: Reading) -> None:
-        """Take down a reading, and forget the one that is out of the window."""
+        """Add a reading, and drop the one that is older than the window."""
         self._rows.append(reading)
 
     @property
@@ -37,7 +37,7 @@ class History:
 
     @property
     def distance(self) -> np.ndarray:
-        """(n,) to the target, 0 where there was none, for the plots know no gaps [m]."""
+        """(n,) to the target [m]; 0 if there was none, because the plots cannot show gaps."""
         return np.nan_to_num([row.distance for row in self._rows])
 
     @property

@@ -27,20 +27,20 @@ HELP = (
     "move the camera."
 )
 PLOTS_WIDTH = 280
-"""Of the panel with the plots [px]."""
+"""Width of the panel with the plots [px]."""
 SLOWEST, SLOW = 0.1, 0.2
-"""Least speed of time, and that of the slow-motion button; 1 is real time."""
+"""Lowest speed of the simulation, and the speed of the slow-motion button; 1 is real time."""
 BRAND = (224, 122, 31)
 
 
 class Panel:
-    """The controls; all that touches the simulation is posted to the thread that owns it."""
+    """The controls. Changes of the simulation are queued for the thread that runs it."""
 
     def __init__(self, server: viser.ViserServer, playground: Playground, post: Callable[[Request], None]):
         """Add everything to the page.
 
         Args:
-            post: takes a request, to be carried out between two control steps.
+            post: queues a request, which is carried out between two control steps.
         """
         self._post, self._gui = post, server.gui
         self._driver: int | None = None
@@ -68,7 +68,7 @@ class Panel:
 
     @property
     def factor(self) -> float:
-        """Simulated per real time that is asked for, 0 to 1."""
+        """Requested ratio of simulated to real time, 0 to 1."""
         return 0.0 if self._pause.value else _within(self._speed.value, SLOWEST, 1.0)
 
     @property
@@ -83,11 +83,11 @@ class Panel:
 
     @property
     def duration_s(self) -> float:
-        """Time that the robot is given to get to a target [s]."""
+        """Time that the robot gets to reach a target [s]."""
         return _within(self._duration.value, *DURATIONS_S)
 
     def send(self, x: float, y: float) -> None:
-        """Ask for the robot to go to a place [m]."""
+        """Request that the robot walks to a point [m]."""
         duration_s = self.duration_s
         self._post(lambda playground: playground.send(x, y, duration_s))
 
@@ -110,7 +110,7 @@ class Panel:
             self._plots = Plots(self._gui, robot.joint_names, robot.foot_bodies)
 
     def update(self, playground: Playground, pace: Pace, history: History) -> None:
-        """Say how things stand."""
+        """Update status and plots."""
         self._status.content = status_html(playground, pace)
         assert self._plots is not None, "show() comes first"
         self._plots.update(history, playground.time_s)
@@ -138,7 +138,7 @@ class Panel:
         self._value.on_update(_by_a_person(self._change_value))
 
     def _show_skill(self, current: Skill) -> None:
-        """The policies for the current robot, and the robots where there are several."""
+        """Show the policies for the current robot, and the robots if there are several."""
         self._choices = choices(current)
         robots = tuple(sorted({choice.robot for choice in self._choices}))
         mine = next(choice for choice in self._choices if choice.name == current.name)
@@ -154,7 +154,7 @@ class Panel:
         self._run(next(choice.name for choice in self._choices if choice.label == self._policy.value))
 
     def _run(self, name: str) -> None:
-        """Read a policy here, in a thread of the page, so that the robot goes on meanwhile."""
+        """Load a policy in this thread, which belongs to the page, so that the simulation goes on meanwhile."""
         layout = LAYOUTS[self._layout.value]
         try:
             skill = open_skill(name)
@@ -193,7 +193,7 @@ class Panel:
                 self._post(lambda playground: playground.drive(*stick, heading))
 
     def _let_go(self, client: viser.ClientHandle) -> None:
-        """A browser that is closed lets the stick go."""
+        """Release the stick if the browser that moved it is closed."""
         if client.client_id == self._driver:
             self._driver = None
             _set(self._stick, CENTRE)
@@ -230,18 +230,18 @@ def parameter_words(family: Family) -> str:
 
 
 def slider_digits(family: Family) -> int:
-    """Decimal places of a parameter such that its range has at least twenty steps."""
+    """Decimal places of a slider, so that it has at least twenty steps."""
     return max(0, -math.floor(math.log10((family.highest - family.lowest) / 20.0)))
 
 
 def view_heading(client: viser.ClientHandle) -> float:
-    """Horizontal direction in which a browser's camera looks, from the world's x axis [rad]."""
+    """Heading of a browser's camera, from the world's x axis [rad]."""
     x, y, _ = client.camera.look_at - client.camera.position
     return math.atan2(y, x)
 
 
 def _within(value: float, low: float, high: float) -> float:
-    """A browser's number within its range; `low` for NaN."""
+    """A number from a browser, clamped to its range; `low` for NaN."""
     return min(max(low, value), high)
 
 
@@ -250,12 +250,12 @@ def _refuse(message: str) -> None:
 
 
 def _set(control: viser.GuiInputHandle[Value], value: Value) -> None:
-    """Change a control; mypy does not find the setter, which viser defines apart from the property."""
+    """Set the value of a control. mypy does not find viser's setter, which is defined apart from the property."""
     control.value = value  # type: ignore[misc]
 
 
 def _by_a_person(act: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], None]:
-    """A callback that does something when a browser changes a control, not when this program does."""
+    """A callback that acts when a person changes a control, and not when this program does."""
 
     def react(event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
@@ -271,6 +271,6 @@ def _on_press(
     act: Callable[[], None],
     color: Literal["gray"] | tuple[int, int, int],
 ) -> None:
-    """A button and a key that do the same."""
+    """Add a button and a hotkey for the same action."""
     gui.add_button(f"{label} ({hotkey})", color=color).on_click(lambda _: act())
     gui.add_command(label, hotkey=hotkey).on_trigger(lambda _: act())

@@ -20,16 +20,16 @@ from arrive.terrain.ground import Ground
 from arrive.terrain.tile import RASTER_HALF, Tile, cell_index
 
 DURATION_S = 8.0
-"""Time that a robot is given unless a person says otherwise: the paper's for its evaluation target [s]."""
+"""Default time to reach a target: the time that the paper's evaluation gives [s]."""
 DURATIONS_S = (1.0, 12.0)
-"""Shortest and longest time that a person can give [s]."""
+"""Shortest and longest time to reach a target [s]."""
 MARGIN = 0.5
-"""Targets stay this far within the tile's raster [m]."""
+"""Targets keep this distance from the edge of the tile's raster [m]."""
 FASTEST_PUSH = 3.0
 """Largest change of velocity by a push [m/s]."""
 STOP = Joystick(0.0, 0.0)
 MESSAGES = 5
-"""Messages that are kept."""
+"""Number of messages to keep."""
 TERRAIN_GROUP = 0
 """Group of the terrain's geoms."""
 
@@ -40,9 +40,9 @@ class Reading:
 
     time_s: float
     speed: float
-    """Of the base, horizontal [m/s]."""
+    """Horizontal speed of the base [m/s]."""
     distance: float
-    """To the target, NaN where there is none [m]."""
+    """Distance to the target [m]; NaN if there is none."""
     torque: np.ndarray
     """(joints,) [N m]."""
     contact: np.ndarray
@@ -50,34 +50,34 @@ class Reading:
 
 
 class Playground:
-    """The simulation behind the page: it is told goals and pushes, and makes one control step at a time.
+    """The simulation behind the page. It receives goals and pushes, and makes one control step at a time.
 
-    The world frame is the tile's. A robot that crashes, falls or leaves the ground is put back to the start, and a
-    message says why.
+    The world frame is the tile's frame. A robot that crashes, falls or leaves the ground is put back to the start, and
+    a message says why.
     """
 
     def __init__(self, skill: Skill, ground: Ground, seed: int = 1):
-        """Stand the robot on a terrain.
+        """Put the robot on a terrain.
 
         Args:
-            skill: the policy, which decides the physics too: that of its training.
-            seed: of random terrain and of the direction of pushes.
+            skill: the policy. Physics is as in its training.
+            seed: seed of random terrain and of the directions of pushes.
 
         Raises:
             ArriveError: the terrain cannot be built, or the policy is for another configuration than this version's.
         """
         self.messages: deque[str] = deque(maxlen=MESSAGES)
-        """What happened, newest last."""
+        """Recent events, newest last."""
         self._seed, self._rng = seed, np.random.default_rng(seed)
         self.skill, self.ground = skill, ground
         self.driver = Driver(self._robot(skill, ground), Controller(skill.policy))
         self.goal: Goal = STOP
         self._start()
         self.aim = self._point(*first_aim(self.robot.tile, ground))
-        """Where a target is drawn, in the world; `go` sends the robot there [m]."""
+        """Position of the drawn target in the world, to which `go` sends the robot [m]."""
 
     def change(self, skill: Skill, ground: Ground) -> None:
-        """Put a robot on another ground, run by another policy.
+        """Change robot, policy and ground.
 
         Raises:
             ArriveError: the terrain cannot be built, or the policy is for another configuration; nothing changes.
@@ -89,7 +89,7 @@ class Playground:
         self.aim = self._point(*first_aim(robot.tile, ground))
 
     def learn(self, skill: Skill) -> None:
-        """Go on where the robot is with another network for the same robot.
+        """Continue from the current state with another network for the same robot.
 
         Raises:
             ArriveError: the policy is for another configuration; nothing changes.
@@ -105,32 +105,32 @@ class Playground:
 
     @property
     def control_dt(self) -> float:
-        """Simulated time of a step [s]."""
+        """Length of a control step [s]."""
         return self.driver.control_dt
 
     @property
     def time_s(self) -> float:
-        """Simulated so far; never goes back [s]."""
+        """Simulated time [s]. It never goes back."""
         return self.driver.time_s
 
     @property
     def falls(self) -> int:
-        """How often the robot was put back after a fall."""
+        """Number of falls."""
         return self.driver.falls
 
     @property
     def target(self) -> Target | None:
-        """The target the robot was last sent to and still is."""
+        """The present target; None if the robot was given another goal since."""
         return self.goal if isinstance(self.goal, Target) else None
 
     @property
     def distance(self) -> float:
-        """From the base to the target, NaN where there is none [m]."""
+        """Distance from the base to the target [m]; NaN if there is none."""
         return math.dist(self.robot.base_pos_w, self.target.position_w) if self.target else math.nan
 
     @property
     def speed(self) -> float:
-        """Of the base, horizontal [m/s]."""
+        """Horizontal speed of the base [m/s]."""
         return float(np.hypot(*self.robot.base_lin_vel_w[:2]))
 
     @property
@@ -164,14 +164,14 @@ class Playground:
         return np.array([self.robot.data.site(name).xpos for name in self.robot.robot.foot_sites])
 
     def send(self, x: float, y: float, duration_s: float = DURATION_S) -> None:
-        """Send the robot to a place, to be there in a while.
+        """Send the robot to a point, which it should reach in the given time.
 
         Args:
-            x, y: in the world, cut to where the ground is known [m].
-            duration_s: from now, within `DURATIONS_S` [s].
+            x, y: point in the world [m]; clamped to the known ground.
+            duration_s: time from now, within `DURATIONS_S` [s].
 
         Raises:
-            ArriveError: the place is not finite, or the time not within its range.
+            ArriveError: the point is not finite, or the time is out of range.
         """
         if not (math.isfinite(x) and math.isfinite(y) and DURATIONS_S[0] <= duration_s <= DURATIONS_S[1]):
             low, high = DURATIONS_S
@@ -187,15 +187,15 @@ class Playground:
         self._judged = False
 
     def go(self, duration_s: float = DURATION_S) -> None:
-        """Send the robot to the target that is drawn; see `send`."""
+        """Send the robot to the drawn target; see `send`."""
         self.send(*self.aim[:2], duration_s)
 
     def drive(self, forward: float, left: float, heading_rad: float | None = None) -> None:
-        """Walk as a stick says; in its middle the robot stops, unless it is on the way to a target.
+        """Walk as the stick commands. A centred stick stops the robot, unless it is walking to a target.
 
         Args:
             forward, left: -1 to 1.
-            heading_rad: heading in the world that `forward` means; None for the robot's own [rad].
+            heading_rad: heading in the world that `forward` stands for [rad]; None for the robot's own heading.
         """
         if self.target is None or math.hypot(forward, left) >= DEAD_ZONE:
             self.goal = Joystick(forward, left, heading_rad)
@@ -204,10 +204,10 @@ class Playground:
         """Change the base's velocity at once in a random horizontal direction.
 
         Args:
-            speed: 0 to `FASTEST_PUSH` [m/s].
+            speed: change of velocity, 0 to `FASTEST_PUSH` [m/s].
 
         Raises:
-            ArriveError: it is not.
+            ArriveError: the speed is out of range.
         """
         if not 0.0 <= speed <= FASTEST_PUSH:
             raise ArriveError(f"a push is 0 to {FASTEST_PUSH:g} m/s, not {speed}")
@@ -222,7 +222,7 @@ class Playground:
         self._start()
 
     def hit(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
-        """(3,) where a ray meets the terrain in the world [m], or None where it does not or is none."""
+        """(3,) point where a ray hits the terrain, in the world [m]; None if it misses or has no direction."""
         length = float(np.linalg.norm(direction))
         if not (np.isfinite(origin).all() and math.isfinite(length) and length > 1e-9):
             return None
@@ -238,13 +238,13 @@ class Playground:
         )
 
     def _start(self) -> None:
-        """The robot stands at its start and knows of nothing that was before."""
+        """Clear goal and command of the time before a reset."""
         self.goal = STOP
         self.command = JointCommand(np.array(self.robot.robot.default_joint_pos), "stop", "")
         self._judged = True
 
     def _judge(self) -> None:
-        """Say once whether the robot was at its target when the time was over."""
+        """When the time is up, add one message: whether the robot is at its target."""
         if self._judged or self.target is None or self.time_s < self.target.arrive_at_s - 1e-6:
             return
         verdict = "arrived" if self.is_there else "not there in time"
@@ -252,13 +252,13 @@ class Playground:
         self._judged = True
 
     def _point(self, x: float, y: float) -> tuple[float, float, float]:
-        """A target over a place on the ground, at the height of training [m]."""
+        """A target above a point on the ground, at the same height as in training [m]."""
         ground = float(self.robot.tile.heights[*cell_index(np.array([x, y]))])
         return x, y, ground + self.skill.policy.task.target_height_m
 
 
 def first_aim(tile: Tile, ground: Ground) -> tuple[float, float]:
-    """The evaluation's target, or the nearest one to it straight ahead that is valid and beyond the terrain [m]."""
+    """(x, y) of the first target: the evaluation's, or the nearest valid one straight ahead, beyond the terrain [m]."""
     x, y = EVALUATION_TARGET
     if ground.layout == "evaluation":
         return x, y

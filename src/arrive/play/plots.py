@@ -1,4 +1,4 @@
-"""Live plots of the last seconds: speed and distance, torques, feet on the ground."""
+"""Live plots of the recent past: speed and distance, torques, foot contacts."""
 
 import numpy as np
 import viser
@@ -8,13 +8,13 @@ from arrive.play.colours import PALETTE, hexadecimal, joint_kinds, leg_names, pa
 from arrive.play.history import WINDOW_S, History
 
 LIFT = 0.7
-"""Height of a foot's line while it touches, in rows."""
+"""Height of a foot's line in contact; 1 is the distance between two lines."""
 HEIGHT = 170
-"""Of a chart [px]."""
+"""Height of a chart [px]."""
 
 
 class Plots:
-    """Three charts with the same time axis; lines are coloured by what the robot calls its joints and feet."""
+    """Three charts with the same time axis. Lines are coloured by joint kind and by foot."""
 
     def __init__(self, gui: viser.GuiApi, joint_names: tuple[str, ...], foot_names: tuple[str, ...]):
         """Add empty charts to the page."""
@@ -31,7 +31,7 @@ class Plots:
         self._contact = _chart(gui, "Feet on the ground", feet, {"range": (-0.2, float(self._feet))})
 
     def update(self, history: History, now_s: float) -> None:
-        """Show the history; time 0 is now."""
+        """Plot the history. Time 0 is now."""
         time_s = history.time_s - now_s
         rows = np.arange(self._feet)[::-1, None]
         self._way.data = (time_s, history.speed, history.distance)
@@ -45,13 +45,13 @@ class Plots:
 
 
 def _key(colours: dict[str, str]) -> str:
-    """Names in their colours."""
+    """A legend: names in their colours."""
     words = (f'<span style="color:{colour};font-weight:600">{name}</span>' for name, colour in colours.items())
     return f'<div style="font-size:0.8em;padding:0 0.8em">{" ".join(words)}</div>'
 
 
 def _at_least(low: float, high: float) -> uplot.Scale:
-    """A scale that shows this range, and more where the data need it."""
+    """A scale that shows at least this range."""
     return {"range": {"min": {"soft": low, "mode": 1, "pad": 0.1}, "max": {"soft": high, "mode": 1, "pad": 0.1}}}
 
 

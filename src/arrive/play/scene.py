@@ -1,4 +1,4 @@
-"""The robot, its ground, its target and the sky, drawn in the browser by viser."""
+"""Draws robot, ground, target and sky in the browser, with viser."""
 
 from collections import defaultdict
 
@@ -15,35 +15,35 @@ from arrive.play.view import FIELD_OF_VIEW_RAD, HORIZON, ZENITH, first_view, pit
 from arrive.simulation import SimulatedRobot
 
 WORLD = "/world"
-"""Everything hangs on this frame; moving it against the robot lets the camera follow."""
+"""Parent frame of everything. It moves opposite to the robot, so that the camera seems to follow."""
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
-"""Groups of a robot's geoms (`arrive.robots.robot`): those that are looked at, and those that touch the ground."""
+"""Groups of a robot's geoms (`arrive.robots.robot`): the visible ones, and those that collide with the ground."""
 PARKED_BELOW = -50.0
-"""Terrain geoms lower than this are unused ones [m]."""
+"""Terrain geoms below this height are unused [m]."""
 IDLE, SENT, REACHED = (250, 226, 196), PALETTE[1], PALETTE[2]
-"""Colour of the target before the robot is sent there, while it is, and once it stands in it."""
+"""Colours of the target: before the robot is sent there, while it walks there, and when it has arrived."""
 RIM = 0.02
 """Width of the ring around the target [m]."""
 FOG_M = (14.0, 70.0)
-"""Where the ground begins to fade into the horizon, and where it is gone [m]."""
+"""Distances at which the ground begins to fade into the horizon, and at which it has faded [m]."""
 SKY_STEP_RAD = 0.004
-"""The sky is drawn again after the camera looked up or down by so much."""
+"""The sky is drawn again when the camera's pitch has changed by this much."""
 USUAL_ASPECT = 1.4
-"""Width over height of a picture before its browser has told."""
+"""Assumed width over height of a picture, until the browser has sent it."""
 SUN = (-3.0, 4.0, 7.0)
-"""The sun's direction [m from the origin]."""
+"""Position of the sun, which gives the direction of its light [m]."""
 FADED: Rgb = (200, 200, 196)
 """Colour of the oldest piece of the feet's trail."""
 LIFT_SHARE = 0.08
-"""Share of the way that the camera makes in a picture towards the robot's height."""
+"""Share of the height difference to the robot by which the camera moves in each picture."""
 Meshes = dict[tuple[float, ...], Triangles]
 
 
 class Scene:
-    """The objects on the canvas; names of bodies are those of the compiled model."""
+    """The drawn objects. Bodies have the names of the compiled model."""
 
     def __init__(self, server: viser.ViserServer, playground: Playground):
-        """Send sky, light, robot, ground and target."""
+        """Add sky, light, robot, ground and target."""
         self._server = server
         server.scene.set_up_direction("+z")
         self._add_sky()
@@ -73,18 +73,18 @@ class Scene:
         self._lift = 0.0
 
     def update(self, robot: SimulatedRobot, follow: bool) -> None:
-        """Move the links to where the robot is; `follow` keeps the robot in the middle of the picture."""
+        """Move the links to the robot's present pose. With `follow`, the robot stays in the middle of the picture."""
         with self._server.atomic():
             for body, frame in self._links.items():
                 frame.position = robot.data.xpos[body]
                 frame.wxyz = robot.data.xquat[body]
             x, y, z = robot.base_pos_w if follow else (0.0, 0.0, robot.robot.standing_height)
-            # Slowly, or the ground would shake with every step of the robot.
+            # Slowly: otherwise the ground would shake with every step of the robot.
             self._lift += LIFT_SHARE * (z - robot.robot.standing_height - self._lift)
             self._world.position = (-x, -y, -self._lift)
 
     def look(self, client: viser.ClientHandle, playground: Playground) -> None:
-        """Have a browser look along the way to the target."""
+        """Point a browser's camera along the way to the target."""
         camera = client.camera
         view = first_view(*self._ends(playground), camera.image_width / max(camera.image_height, 1))
         with client.atomic():
@@ -92,14 +92,14 @@ class Scene:
             camera.look_at = view.look_at
 
     def show_target(self, position: tuple[float, float, float], colour: Rgb) -> None:
-        """Move the target there [m]."""
+        """Move the target to a position [m]."""
         with self._server.atomic():
             self.gizmo.position = position
             for part in self._marks:
                 part.color = colour  # type: ignore[attr-defined]  # viser's stubs leave colours out
 
     def show_trail(self, trail: Trail, feet: int, visible: bool) -> None:
-        """Draw where the feet were."""
+        """Draw the trail of the feet."""
         newest = np.array([in_linear_light(colour) for colour in palette(feet)])
         points, colours = trail.segments(newest, np.array(in_linear_light(FADED)))
         with self._server.atomic():
@@ -107,15 +107,15 @@ class Scene:
             self._trail.visible = visible
 
     def in_world(self, point: tuple[float, float, float]) -> np.ndarray:
-        """(3,) position in the simulation of a point in viser's own frame [m]."""
+        """(3,) position of a point in the simulation, from its position in viser's own frame [m]."""
         return np.array(point) - self._world.position
 
     def _ends(self, playground: Playground) -> tuple[np.ndarray, np.ndarray]:
-        """Robot and target in viser's own frame [m]."""
+        """Positions of robot and target in viser's own frame [m]."""
         return playground.robot.base_pos_w + self._world.position, np.array(playground.aim) + self._world.position
 
     def _add_sky(self) -> None:
-        """A sun that casts shadows, light from the sky, haze, and the sky itself, which goes with every camera."""
+        """Add a sun with shadows, ambient light, haze and the sky, which moves with every camera."""
         scene = self._server.scene
         scene.configure_fog(*FOG_M, color=in_linear_light(HORIZON))
         scene.configure_default_lights(enabled=False)
@@ -125,7 +125,7 @@ class Scene:
         self._server.on_client_connect(_keep_horizon)
 
     def _add_robot(self, robot: SimulatedRobot) -> dict[int, viser.FrameHandle]:
-        """One frame per moving link; bodies that are welded together share one."""
+        """Add one frame per moving link. Bodies that are welded together share a frame."""
         model = robot.model
         group = VISUAL_GROUP if (model.geom_group == VISUAL_GROUP).any() else COLLISION_GROUP
         frames = {}
@@ -137,12 +137,12 @@ class Scene:
         return frames
 
     def _add_ground(self, name: str, model: mujoco.MjModel) -> None:
-        """The terrain, one surface per colour."""
+        """Add the terrain, one surface per colour."""
         for number, (rgba, mesh) in enumerate(link_meshes(model, 0, TERRAIN_GROUP).items()):
             self._server.scene.add_glb(f"{name}/{number}", ground_surface(mesh, _rgb(rgba)))
 
     def _add_target(self, playground: Playground) -> viser.TransformControlsHandle:
-        """A gizmo to be dragged, with a pole that stands in a disc as large as the place to be reached."""
+        """Add the target that can be dragged: a pole, and a disc of the arrival radius."""
         scene, name, task = self._server.scene, f"{WORLD}/target", playground.skill.policy.task
         gizmo = scene.add_transform_controls(
             name, scale=0.6, active_axes=(True, True, False), disable_rotations=True, position=playground.aim
@@ -150,7 +150,7 @@ class Scene:
         height = task.target_height_m
         radius = task.arrival_radius_m
         disc, pole = cylinder(radius, 0.004), cylinder(0.012, height / 2)
-        # Both sides of the band, from below outwards and back over its upper edge.
+        # Both sides of the ring: up its outer side, down its inner side.
         rim = revolved([(radius, -RIM), (radius, RIM), (radius - RIM, RIM), (radius - RIM, -RIM)])
         parts = (
             ("disc", disc, 0.012 - height, 0.35),
@@ -175,9 +175,9 @@ class Scene:
 
 
 def _keep_horizon(client: viser.ClientHandle) -> None:
-    """Keep the sky's horizon where the ground ends, however high or low a browser looks.
+    """Keep the sky's horizon at the end of the ground, whatever the pitch of a browser's camera.
 
-    viser stretches a picture behind everything and has no sky that turns with the camera.
+    viser only has a background image, which does not turn with the camera.
     """
     drawn = np.inf
 
@@ -193,12 +193,12 @@ def _keep_horizon(client: viser.ClientHandle) -> None:
 
 
 def in_linear_light(colour: Rgb) -> Rgb:
-    """An sRGB colour in linear light, both 0 to 255: viser takes those of fog and lines as they are."""
+    """An sRGB colour in linear light, both 0 to 255. viser needs it for fog and lines."""
     return _rgb(linear(colour))
 
 
 def link_meshes(model: mujoco.MjModel, body: int, group: int) -> Meshes:
-    """Surfaces by colour of all geoms of a group that are fixed to a body, in its frame [m]."""
+    """Surfaces of all geoms of a group that are fixed to a body, by colour, in the body's frame [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     origin, rotation = data.xpos[body], data.xmat[body].reshape(3, 3)

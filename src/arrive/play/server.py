@@ -1,4 +1,4 @@
-"""The web server: viser's, behind a door and a guard of our own."""
+"""The web server: viser's, with our checks of requests (`door`) and messages (`guard`)."""
 
 import contextlib
 import io
@@ -24,8 +24,8 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
     """Serve the page.
 
     Raises:
-        ArriveError: the port is in use, the host is empty or not this machine's, or this version of viser does not
-            take the door and the guard.
+        ArriveError: the port is in use, the host is empty or not an address of this machine, or the checks cannot be
+            installed in this version of viser.
     """
     door = door_of(host, port)
     # viser would silently take another port, and search endlessly if the host is wrong.
@@ -36,7 +36,7 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
     except (OSError, OverflowError, UnicodeError) as error:
         raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
     guard = Guard()
-    # Whatever it is told, viser prints a box with its own addresses.
+    # viser always prints a box with its own addresses.
     with _through(door, guard) as taken, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
     if not taken or server.get_port() != port:
@@ -48,14 +48,14 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
 
 @contextlib.contextmanager
 def _through(door: Door, guard: Guard) -> Iterator[list[bool]]:
-    """Let servers that begin to listen meanwhile use websockets' own hooks, which viser has no way to reach.
+    """Install the checks in every websockets server that starts meanwhile. viser offers no way to pass them.
 
     Yields:
-        A list that holds something once a server has taken them.
+        A list that is no longer empty when a server has started with the checks.
     """
     serve, taken = websockets.asyncio.server.serve, []
     quiet = logging.getLogger("arrive.play.server")
-    # A request that is refused is no fault of this program, and no reason to print a traceback.
+    # A refused request is not a fault of this program, so websockets must not print a traceback.
     quiet.addHandler(logging.NullHandler())
     quiet.propagate = False
 
@@ -72,7 +72,7 @@ def _through(door: Door, guard: Guard) -> Iterator[list[bool]]:
 
 
 def _checked(door: Door, answer: Process) -> Process:
-    """An answer to requests that come through the door."""
+    """Answer only the requests that the door allows."""
 
     def process(connection: ServerConnection, request: Request) -> Response | None:
         refusal = door.refusal(request.headers, request.path)

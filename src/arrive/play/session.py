@@ -1,4 +1,4 @@
-"""One simulation for all browsers: the thread that steps it, draws it and carries out what people ask for."""
+"""One simulation for all browsers, with the thread that steps it, draws it and carries out requests."""
 
 import math
 import queue
@@ -18,42 +18,42 @@ from arrive.play.scene import IDLE, REACHED, SENT, Scene
 from arrive.play.trail import Trail
 
 DRAW_PERIOD_S = 1 / 30
-"""Between pictures [s]."""
+"""Time between pictures [s]."""
 PANEL_PERIOD_S = 0.2
-"""Between updates of status and plots [s]."""
+"""Time between updates of status and plots [s]."""
 TRAIL_PERIOD_S = 0.1
-"""Between updates of the feet's trail [s]."""
+"""Time between updates of the trail of the feet [s]."""
 READING_STEPS = 2
-"""Control steps between readings in the plots."""
+"""Control steps between two samples of the plots."""
 NAP_S = 0.002
-"""The thread looks for work this often [s]."""
+"""Time that the thread sleeps when there is nothing to do [s]."""
 
 
 class Ticker:
-    """Does something every now and then, but only if anything has changed."""
+    """Calls a function periodically, but only if something has changed."""
 
     def __init__(self, period_s: float, act: Callable[[], None]):
-        """Do it at the first tick.
+        """The first tick calls the function.
 
         Args:
-            period_s: least time between two times [s].
+            period_s: shortest time between two calls [s].
         """
         self._period_s, self._act = period_s, act
         self._next_s = -math.inf
         self._seen: Hashable = None
 
     def tick(self, now_s: float, state: Hashable) -> None:
-        """Do it now if it is time and `state` is another than when it was done last."""
+        """Call the function if the period is over and `state` has changed since the last call."""
         if now_s >= self._next_s and state != self._seen:
             self._act()
             self._seen, self._next_s = state, now_s + self._period_s
 
 
 class Session:
-    """State that all browsers share. Only the thread that runs it touches the simulation."""
+    """The state that all browsers share. Only the thread of `run` may touch the simulation."""
 
     def __init__(self, server: viser.ViserServer, playground: Playground):
-        """Put everything on the page; nothing moves until `run`."""
+        """Put everything on the page. The simulation starts with `run`."""
         self.playground = playground
         self._server = server
         self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
@@ -69,15 +69,15 @@ class Session:
             Ticker(PANEL_PERIOD_S, lambda: self._panel.update(self.playground, self.pace, self._history)),
         )
         self.pace = Pace(playground.control_dt)
-        """The simulation's clock, which also says how much time was lost."""
+        """Keeps the simulation in real time, and measures how much time was lost."""
         self._listen()
 
     def post(self, request: Request) -> None:
-        """Have a request carried out between two control steps."""
+        """Queue a request, which is carried out between two control steps."""
         self._requests.put(request)
 
     def run(self, stop: threading.Event) -> None:
-        """Run until told to stop."""
+        """Run until `stop` is set."""
         while not stop.is_set():
             self._carry_out()
             self.pace.factor = self._panel.factor
@@ -104,7 +104,7 @@ class Session:
             self._look()
 
     def _look(self) -> None:
-        """Other terrain is looked at along the way; another value of the same leaves cameras where they are."""
+        """On a new terrain family, point the cameras along the way. On another value of the same one, leave them."""
         ground = self.playground.ground
         if (ground.family, ground.layout) == self._looked_at:
             return
@@ -113,7 +113,7 @@ class Session:
             self._scene.look(client, self.playground)
 
     def _start_over(self) -> None:
-        """Another robot or ground has neither past nor trail."""
+        """Clear plots and trail for another robot or ground."""
         self._drawn_robot = self.playground.robot
         self._trail = Trail(self.playground.control_dt)
         self._history = History(READING_STEPS * self.playground.control_dt)
@@ -126,7 +126,7 @@ class Session:
         self._trail.append(self.playground.feet())
 
     def _draw(self) -> None:
-        """Links always; the target only when it is another, for a person may be dragging it."""
+        """Draw the links. Draw the target only if it has changed, because a person may be dragging it."""
         playground = self.playground
         colour = IDLE if playground.target is None else REACHED if playground.is_there else SENT
         if (playground.aim, colour) != self._drawn_target:
@@ -138,7 +138,7 @@ class Session:
         self._scene.show_trail(self._trail, len(self.playground.robot.robot.foot_sites), self._panel.trail)
 
     def _listen(self) -> None:
-        """To browsers that open the page, and to the two ways of setting a target."""
+        """Register callbacks: for new browsers, and for a target that is dragged or clicked."""
 
         @self._server.on_client_connect
         def _(client: viser.ClientHandle) -> None:

@@ -1,4 +1,4 @@
-"""MuJoCo's geoms as triangles."""
+"""Converts MuJoCo's geoms to triangles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 SEGMENTS = 28
 """Number of sides of round shapes."""
 ARC = 7
-"""Rings of a quarter circle."""
+"""Number of rings per quarter circle."""
 Geom = mujoco.mjtGeom
 Ring = tuple[float, float]
 """Radius and height along z."""
@@ -17,7 +17,7 @@ Ring = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A surface; vertices are shared only where it is smooth, so that shading keeps edges sharp."""
+    """A surface. Faces share vertices only where it is smooth, so that edges stay sharp."""
 
     vertices: np.ndarray
     """(n, 3) [m]."""
@@ -25,7 +25,7 @@ class Triangles:
     """(m, 3) indices of vertices, counter-clockwise seen from outside."""
 
     def placed(self, position: np.ndarray, rotation: np.ndarray) -> "Triangles":
-        """Moved to `position` (3,) and turned by the matrix `rotation` (3, 3)."""
+        """The surface rotated by the matrix `rotation` (3, 3), then moved by `position` (3,)."""
         return Triangles(self.vertices @ rotation.T + position, self.faces)
 
 
@@ -40,7 +40,7 @@ def geom_triangles(model: mujoco.MjModel, geom: int) -> Triangles:
     """The surface of a geom in its own frame.
 
     Raises:
-        ValueError: a shape that neither robots nor terrain use.
+        ValueError: the shape is not supported.
     """
     kind, size = Geom(model.geom_type[geom]), model.geom_size[geom]
     if kind == Geom.mjGEOM_BOX:
@@ -61,7 +61,7 @@ def geom_triangles(model: mujoco.MjModel, geom: int) -> Triangles:
 
 
 def box(half: Sequence[float] | np.ndarray) -> Triangles:
-    """A box around the origin by its half extents [m]."""
+    """A box around the origin with these half extents [m]."""
     sides = []
     for axis in range(3):
         for sign in (1.0, -1.0):
@@ -78,14 +78,14 @@ def cylinder(radius: float, half_length: float) -> Triangles:
 
 
 def capsule(radius: float, half_length: float) -> Triangles:
-    """A capsule along z around the origin, its straight part 2 `half_length` long [m]; a sphere at 0."""
+    """A capsule along z around the origin, with a straight part of 2 `half_length` [m]; 0 gives a sphere."""
     angle = np.linspace(0.0, np.pi / 2, ARC)
     upper = [(radius * np.cos(a), half_length + radius * np.sin(a)) for a in angle]
     return revolved([(r, -z) for r, z in reversed(upper)] + upper)
 
 
 def revolved(profile: Sequence[Ring]) -> Triangles:
-    """The smooth surface of revolution about z of a profile that goes upwards or outside round the axis."""
+    """The smooth surface of revolution about z. A profile's points go upwards on its outer side."""
     around = np.linspace(0.0, 2.0 * np.pi, SEGMENTS, endpoint=False)
     rings = [np.stack([r * np.cos(around), r * np.sin(around), np.full(SEGMENTS, z)], axis=1) for r, z in profile]
     here = np.arange(SEGMENTS)
@@ -98,14 +98,14 @@ def revolved(profile: Sequence[Ring]) -> Triangles:
 
 
 def mesh_of(model: mujoco.MjModel, mesh: int) -> Triangles:
-    """A mesh of a robot's description, in its geom's frame [m]."""
+    """A mesh in its geom's frame [m]."""
     vertices = slice(int(model.mesh_vertadr[mesh]), int(model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh]))
     faces = slice(int(model.mesh_faceadr[mesh]), int(model.mesh_faceadr[mesh] + model.mesh_facenum[mesh]))
     return Triangles(np.array(model.mesh_vert[vertices], dtype=float), np.array(model.mesh_face[faces]))
 
 
 def height_field(model: mujoco.MjModel, field: int) -> Triangles:
-    """The upper side of a height field, in its geom's frame [m], cut along the diagonals that MuJoCo cuts it along."""
+    """The upper side of a height field in its geom's frame [m], with the same diagonals as in MuJoCo."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     half_x, half_y, height, _ = model.hfield_size[field]
     start = int(model.hfield_adr[field])

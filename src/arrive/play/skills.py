@@ -1,4 +1,4 @@
-"""Abilities of a policy: the terrain of its training, and the hardest value that it solves as measured."""
+"""What a policy can do: its training terrain, and the hardest value that it solves according to its measurement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,19 +18,19 @@ from arrive.terrain.ground import Ground
 
 @dataclass(frozen=True)
 class Skill:
-    """A policy with its name and the values that it solves as measured."""
+    """A policy with its name and the values that it solves according to its measurement."""
 
     name: str
     policy: PolicyFile
     solved: dict[str, float]
-    """By family: the hardest value that is solved at 95 %."""
+    """The hardest value with a success rate of 95 %, by terrain family."""
 
     @cached_property
     def config(self) -> Config:
         """The configuration it was trained with.
 
         Raises:
-            ArriveError: it is one of another version.
+            ArriveError: it was written by another version.
         """
         return saved_config(self.policy.meta["training"]["config"], self.policy.path)
 
@@ -41,25 +41,25 @@ class Skill:
 
     @property
     def levels(self) -> int:
-        """Number of its own levels."""
+        """Number of terrain levels in its training."""
         return self.config.terrain.levels
 
     def value(self, family: str) -> float:
-        """The family's hardest solved value, or that of a middle level where none is known."""
+        """The family's hardest solved value; the value of a middle level if none is known."""
         kind = FAMILIES[family]
         return self.solved.get(family, kind.value(self.levels // 2, self.levels))
 
     def ground(self, layout: Layout) -> Ground:
-        """The terrain that shows it: of those it was trained on, the most telling one that it solves."""
+        """The terrain to start with: of the families in its training, the most interesting one that it solves."""
         trained = [name for name in self.config.terrain.families if name in FAMILIES]
         telling = [name for name in TELLING if name in (self.solved or trained) and name in trained]
-        # For a policy without a measurement, level ground shows more than a middle level of everything.
+        # Without a measurement, flat ground is safer than a middle level.
         family = "flat" if not telling or (not self.solved and "flat" in trained) else telling[0]
         return Ground(FAMILIES[family], self.value(family), layout)
 
 
 def open_skill(name: str | None) -> Skill:
-    """Read a policy and what is known of it; see `open_policy`."""
+    """Read a policy and its measurement; see `open_policy`."""
     name = name or DEFAULT
     policy = open_policy(name)
     return Skill(name, policy, solved_in(policy.meta.get("evaluation")))
@@ -67,17 +67,17 @@ def open_skill(name: str | None) -> Skill:
 
 @dataclass(frozen=True)
 class Choice:
-    """A policy that can be chosen."""
+    """A policy in the menu."""
 
     name: str
     robot: str
-    """Name of the robot that it moves."""
+    """Name of its robot."""
     label: str
     """Text in the menu of policies: the short name and the solved values."""
 
 
 def choices(current: Skill) -> tuple[Choice, ...]:
-    """The policies at hand: the shipped ones whose configuration can be read, and the current one."""
+    """The policies in the menu: the shipped ones with a readable configuration, and the current one."""
     shipped = {name: robot for name in shipped_names() if (robot := _robot_of(policies.SHIPPED / name))}
     robots = shipped | {current.name: current.config.robot}
     return tuple(Choice(name, robot, _label(name)) for name, robot in sorted(robots.items()))
@@ -94,7 +94,7 @@ def _label(name: str) -> str:
     short = Path(name).name
     try:
         solved = amounts(solved_beside(find_policy(name)))
-    except ArriveError:  # a damaged measurement says nothing, and the policy can be played
+    except ArriveError:  # the policy itself can still be played
         return f"{short}: measurement damaged"
     if not solved:
         return short

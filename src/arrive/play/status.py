@@ -1,4 +1,4 @@
-"""The state of the robot in words that need no knowledge of the controller."""
+"""Describes the state of the robot in plain words."""
 
 from html import escape
 
@@ -6,9 +6,9 @@ from arrive.drive.pace import Pace
 from arrive.play.playground import Playground
 
 NEWS = 2
-"""Messages that are shown, the newest ones."""
+"""Number of the newest messages to show."""
 RESTING, MOVING, DONE, WRONG = "resting", "moving", "done", "wrong"
-"""Kinds of news, each with its colour in page.css."""
+"""Kinds of status, each with a colour in page.css."""
 
 
 def status_html(playground: Playground, pace: Pace) -> str:

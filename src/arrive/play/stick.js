@@ -1,10 +1,10 @@
-// The on-screen stick, the arrow keys and a gamepad, as one direction. It runs in the page: viser has no stick of its
-// own and hears of keys only when they go down. What it finds it writes into the text field "stick" as
-// "FORWARD LEFT", each -1 to 1, which is all the server reads.
+// Combines the on-screen stick, the arrow keys and a gamepad into one direction. It runs in the page, because viser has
+// no stick and does not report released keys. It writes "FORWARD LEFT", each -1 to 1, into the text field "Stick". The
+// server only reads this field.
 (function (pad) {
   const REACH = 46; // travel of the knob [px]
   const PERIOD_MS = 50;
-  const DEAD_ZONE = 0.1; // of a gamepad's stick, whose middle is never exactly 0
+  const DEAD_ZONE = 0.1; // of a gamepad's stick, because its centre is never exactly 0
   const WRITTEN = /^-?\d\.\d\d -?\d\.\d\d$/;
   const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
 
@@ -12,14 +12,14 @@
     return [...document.querySelectorAll("input")].find((input) => WRITTEN.test(input.value));
   }
 
-  // People need not see what only the server reads.
+  // Hide the text field, which is only for the server.
   function hideRow(field) {
     let row = field;
     while (row && !row.textContent.trim()) row = row.parentElement;
     if (row && row.textContent.trim() === "Stick") row.style.display = "none";
   }
 
-  // React takes over a value only if it is set by the element's own setter and followed by an event.
+  // React only notices a value that is set by the element's own setter and followed by an event.
   function write(field, text) {
     Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field, text);
     field.dispatchEvent(new Event("input", { bubbles: true }));
@@ -33,7 +33,7 @@
       if (!(event.code in ARROWS) || (down && inForm(event.target))) return;
       if (down) state.keys.set(event.code, ARROWS[event.code]);
       else state.keys.delete(event.code);
-      // Else the arrows would turn the camera too.
+      // Otherwise the arrow keys would also turn the camera.
       if (!inForm(event.target)) event.stopImmediatePropagation();
     };
     window.addEventListener("keydown", (event) => onKey(event, true), true);
@@ -65,7 +65,7 @@
     hideRow(field);
     showStatus();
     const text = direction(state).map((value) => (Math.round(value * 50) / 50 || 0).toFixed(2)).join(" ");
-    // Only what changed here: another browser may be driving.
+    // Only write changes of this browser: another one may be driving.
     if (text !== state.last) write(field, text);
     state.last = text;
     const [forward, left] = field.value.split(" ").map(Number);
@@ -73,14 +73,14 @@
     if (knob) knob.setAttribute("transform", `translate(${-REACH * left} ${-REACH * forward})`);
   }
 
-  // What the robot does, over a phone's picture: the panel that says it is closed.
+  // On a phone the panel with the status is closed, so a copy of the status is shown over the picture.
   function showStatus() {
     const sign = document.querySelector("[data-arrive-sign]");
     const said = document.querySelector("[data-arrive-status]:not([data-arrive-sign] *)");
     if (sign && said && sign.innerHTML !== said.outerHTML) sign.innerHTML = said.outerHTML;
   }
 
-  // On a phone viser's panel is a sheet over the picture. It is closed at first, and what one drives with lies free.
+  // On a phone viser's panel covers the picture. So close it at first, and put stick and buttons over the picture.
   function phoneLayout(pad) {
     document.querySelectorAll("[data-arrive-bar], [data-arrive-sign]").forEach((part) => part.remove());
     if (!matchMedia("(max-width: 36em)").matches) return;
@@ -101,7 +101,7 @@
     sign.dataset.arriveSign = "";
     document.body.append(bar, sign);
     const handle = document.querySelector('[style*="cursor: pointer"][style*="height: 3.5em"]');
-    // Once: who opens it wants it open. The page may be built twice before it has a sheet at all.
+    // Only once, so that it stays open if the user opens it. The page may be built twice before it has a panel.
     if (!handle || window.arriveSheet) return;
     handle.click();
     window.arriveSheet = true;

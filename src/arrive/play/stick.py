@@ -1,4 +1,4 @@
-"""The stick on the page: what viser is told to show, and what comes back from it."""
+"""The stick on the page: its HTML, and the parser of the text that it sends."""
 
 import html
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 SCRIPT = Path(__file__).with_name("stick.js")
 STYLE = Path(__file__).with_name("page.css")
 CENTRE = "0.00 0.00"
-"""The text of a stick in its middle."""
+"""The text of a centred stick."""
 PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="
-"""A transparent picture. Markup that a page inserts does not run scripts, but an image's `onload` it does."""
+"""A transparent image. Browsers do not run scripts in inserted HTML, but they run an image's `onload`."""
 
 
 def stick_html() -> str:
-    """The pad with its knob, and the script that listens to it."""
+    """The pad with its knob, and the script that reads it."""
     script = html.escape(f"({SCRIPT.read_text()})(this.previousElementSibling)", quote=True)
     return f"""
 <div style="display:flex;justify-content:center;padding:0.4em">
@@ -26,7 +26,7 @@ def stick_html() -> str:
 
 
 def parse_stick(text: str) -> tuple[float, float] | None:
-    """Forward and left, -1 to 1, from the stick's text; None where it is not two numbers within these."""
+    """Forward and left, -1 to 1, from the stick's text; None if it is malformed or out of range."""
     try:
         forward, left = (float(word) for word in text.split())
     except ValueError:
@@ -35,5 +35,5 @@ def parse_stick(text: str) -> tuple[float, float] | None:
 
 
 def page_html() -> str:
-    """Style that viser has no setting for."""
+    """CSS for what viser has no setting for."""
     return f"<style>{STYLE.read_text()}</style>"

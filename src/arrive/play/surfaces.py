@@ -1,4 +1,4 @@
-"""How robot and ground look: colour, gloss, and on the ground a texture that shows motion."""
+"""Surfaces of robot and ground: colour, gloss, and a texture on the ground that makes motion visible."""
 
 from functools import lru_cache
 
@@ -10,19 +10,19 @@ from arrive.play.gltf import glb
 from arrive.play.shapes import Triangles
 
 TEXTURE_M = 2.0
-"""Edge of the piece of ground that the texture covers before it repeats [m]."""
+"""The texture repeats after this length [m]."""
 PLATES = 4
-"""Plates along that edge: half a metre each."""
+"""Plates along an edge of the texture, half a metre each."""
 PIXELS = 512
-"""Along that edge."""
+"""Pixels along an edge of the texture."""
 JOINT_PX = 2
-"""Width of the joints between plates, on either side."""
+"""Half the width of the joints between plates [px]."""
 PLATE_SPREAD, GRAIN, JOINT = 0.06, 0.02, 0.72
-"""How much plates differ in brightness, how much every point does, and the brightness of joints; 1 is white."""
+"""Spread of brightness between plates and between pixels, and brightness of the joints; 1 is white."""
 NARROW_M = 0.45
-"""A face that is narrower than this, and longer, is a stair's: joints along it would look like further stairs [m]."""
+"""A long face narrower than this is a stair tread: joints along it would look like more stairs [m]."""
 SIDE, DARKENING_M = 0.6, 1.2
-"""How bright the top of an upright face is against level ground, and over which depth below it light is lost [m]."""
+"""Brightness at the top of an upright face relative to level ground; depth over which it falls to 1/e [m]."""
 GROUND_ROUGHNESS, ROBOT_ROUGHNESS = 0.95, 0.42
 
 
@@ -32,7 +32,7 @@ def robot_surface(mesh: Triangles, colour: Rgb) -> bytes:
 
 
 def ground_surface(mesh: Triangles, colour: Rgb) -> bytes:
-    """A glTF file of flat faces that bear the texture of the ground in its real size; upright ones are darker."""
+    """A glTF file of flat faces with the ground texture in its real size. Upright faces are darker."""
     vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
     faces = np.arange(len(vertices)).reshape(-1, 3)
     texture = (ground_texture(), box_coordinates(vertices) / TEXTURE_M)
@@ -46,7 +46,7 @@ def linear(colour: Rgb) -> tuple[float, float, float]:
 
 
 def smooth_normals(mesh: Triangles) -> np.ndarray:
-    """(n, 3) unit normals of vertices: the mean of those of their faces, by area."""
+    """(n, 3) unit normals of vertices: the mean of their faces' normals, weighted by area."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     normals = np.zeros_like(mesh.vertices, dtype=float)
     for corner in mesh.faces.T:
@@ -55,9 +55,9 @@ def smooth_normals(mesh: Triangles) -> np.ndarray:
 
 
 def box_coordinates(vertices: np.ndarray) -> np.ndarray:
-    """(n, 2) places [m] of triangles' corners (n, 3), three by three, seen along the axis that they face most.
+    """(n, 2) texture coordinates [m] of the corners (n, 3) of triangles, projected along the axis that they face most.
 
-    Upright faces bear no joints across, nor do narrow ones along: only edges of the ground are to look like edges.
+    Upright faces get no horizontal joints, and narrow faces none along them, so that only edges look like edges.
     """
     corners = vertices.reshape(-1, 3, 3)
     normal = np.abs(_normals(corners))
@@ -69,14 +69,14 @@ def box_coordinates(vertices: np.ndarray) -> np.ndarray:
     extent = np.ptp(places, axis=1)
     plain = (extent < NARROW_M) & (extent[:, ::-1] > NARROW_M)
     plain[facing != 2, 1] = True
-    # Of both triangles of a rectangle the same.
+    # The same for both triangles of a rectangle.
     middle = (places.min(axis=1) + places.max(axis=1)) / 2
     middle = (np.floor(middle * PLATES / TEXTURE_M) + 0.5) * TEXTURE_M / PLATES
     return np.where(plain[:, None], middle[:, None], places).reshape(-1, 2)
 
 
 def shades(vertices: np.ndarray) -> np.ndarray:
-    """(n,) brightness of triangles' corners (n, 3), three by three: upright faces darken with depth, as in a hole."""
+    """(n,) brightness of the corners (n, 3) of triangles. Upright faces get darker with depth, as in a hole."""
     corners = vertices.reshape(-1, 3, 3)
     normal = _normals(corners)
     upright = np.abs(normal[:, 2]) < 0.3 * np.linalg.norm(normal, axis=1)
@@ -85,13 +85,13 @@ def shades(vertices: np.ndarray) -> np.ndarray:
 
 
 def _normals(corners: np.ndarray) -> np.ndarray:
-    """(n, 3) normals of triangles (n, 3, 3), as long as twice their areas."""
+    """(n, 3) normals of triangles (n, 3, 3); their length is twice the area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 @lru_cache(maxsize=1)
 def ground_texture() -> Image.Image:
-    """Square plates with joints, each a little lighter or darker than its neighbours, in grey around white."""
+    """Square grey plates of slightly different brightness, with joints between them."""
     rng = np.random.default_rng(7)
     size = PIXELS // PLATES
     plates = 1.0 - PLATE_SPREAD + rng.uniform(-PLATE_SPREAD, PLATE_SPREAD, (PLATES, PLATES))

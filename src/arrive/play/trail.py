@@ -1,4 +1,4 @@
-"""Where the feet were in the last seconds."""
+"""The trail of the feet."""
 
 from collections import deque
 
@@ -7,11 +7,11 @@ import numpy as np
 WINDOW_S = 3.0
 """Time that the trail shows [s]."""
 LONGEST_STEP = 0.4
-"""A foot that moved farther than this between two samples was put somewhere else; the line is broken there [m]."""
+"""If a foot moves farther than this between two samples, the robot was reset, and the line is interrupted [m]."""
 
 
 class Trail:
-    """The feet's ways as line segments that fade with age."""
+    """Recent positions of the feet as line segments that fade with age."""
 
     def __init__(self, period_s: float):
         """Start empty.
@@ -22,17 +22,17 @@ class Trail:
         self._places: deque[np.ndarray] = deque(maxlen=round(WINDOW_S / period_s) + 1)
 
     def append(self, feet: np.ndarray) -> None:
-        """Take down the feet's places (feet, 3) [m]."""
+        """Add the positions of the feet, (feet, 3) [m]."""
         if self._places and len(self._places[-1]) != len(feet):
             self._places.clear()
         self._places.append(feet)
 
     def segments(self, colours: np.ndarray, faded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Line segments, and the colours of their ends.
+        """The line segments and their colours.
 
         Args:
-            colours: (feet, 3) of the newest pieces, 0 to 255.
-            faded: (3,) colour of the oldest, 0 to 255.
+            colours: (feet, 3) colours of the newest segments, 0 to 255.
+            faded: (3,) colour of the oldest segment, 0 to 255.
 
         Returns:
             (n, 2, 3) ends [m] and (n, 2, 3) uint8 colours.

@@ -1,4 +1,4 @@
-"""Where a browser's camera stands at first, and what its sky looks like from there."""
+"""The first view of a browser's camera, and the sky that it sees."""
 
 from dataclasses import dataclass
 
@@ -7,39 +7,39 @@ import numpy as np
 from arrive.play.colours import Rgb
 
 FIELD_OF_VIEW_RAD = 0.85
-"""Vertical."""
+"""Vertical field of view."""
 WIDE, NARROW = 1.0, 0.6
-"""Width over height of a picture from which on the camera stands well beside the robot, and below which behind it."""
+"""Width over height of a wide picture (camera beside the robot) and of a narrow one (camera behind it)."""
 BESIDE_DEG, BEHIND_DEG = 48.0, 20.0
-"""Direction of the way to the target against that in which the camera looks, in a wide and in a narrow picture."""
+"""Angle between the camera's direction and the way to the target, in a wide and in a narrow picture."""
 DOWN_DEG, STEEPER_DEG = 15.0, 24.0
-"""How far down the camera looks in a wide and in a narrow picture, where the target lies above the robot."""
+"""Angle by which the camera looks down, in a wide and in a narrow picture."""
 ROBOT_RADIUS, TARGET_RADIUS = 1.25, 0.8
-"""Radii of what is to be in the picture, around the base of ANYmal C and around the target [m]."""
+"""Radii around the base of ANYmal C and around the target that must be in the picture [m]."""
 NEAREST, FARTHEST = 4.0, 14.0
 """Distance between the camera and the point it looks at [m]."""
 SHARES = np.linspace(0.1, 0.6, 11)
-"""The camera looks at one of these shares of the way from the robot to its target: that from which it sees both from
-nearest."""
+"""Candidates for the point that the camera looks at, as shares of the way from robot to target. The one that lets the
+camera come nearest is chosen."""
 HORIZON: Rgb = (214, 226, 238)
 ZENITH: Rgb = (84, 138, 198)
 SKY_DEG = 35.0
-"""Height above the horizon at which the sky has the zenith's colour."""
+"""Angle above the horizon at which the sky has the colour of the zenith."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera's place and the point it looks at, both (3,) [m]."""
+    """A camera's position and the point that it looks at, both (3,) [m]."""
 
     position: np.ndarray
     look_at: np.ndarray
 
 
 def first_view(base: np.ndarray, target: np.ndarray, aspect: float) -> View:
-    """The view along the way that has the robot and its target in the picture, from as near as can be.
+    """The nearest view along the way that shows both the robot and its target.
 
     Args:
-        base, target: (3,) places [m].
+        base, target: (3,) positions [m].
         aspect: width of the picture over its height.
     """
     share = np.clip((aspect - NARROW) / (WIDE - NARROW), 0.0, 1.0)
@@ -55,7 +55,7 @@ def first_view(base: np.ndarray, target: np.ndarray, aspect: float) -> View:
 
 
 def camera_axes(azimuth: float, elevation: float) -> np.ndarray:
-    """(3, 3) rows: forward, right and up of a camera that looks there [rad]."""
+    """(3, 3) forward, right and up vectors of a camera with this azimuth and elevation [rad]."""
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     forward = np.cos(elevation) * level + np.array([0.0, 0.0, np.sin(elevation)])
     right = np.array([level[1], -level[0], 0.0])
@@ -63,19 +63,23 @@ def camera_axes(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def _fit(points: np.ndarray, axes: np.ndarray, tan_right: float, tan_up: float) -> float:
-    """Least distance from the point looked at, the origin, at which robot and target are in the picture [m]."""
+    """Shortest distance from the camera to the point that it looks at, with robot and target in the picture [m].
+
+    Args:
+        points: (2, 3) robot and target, relative to that point [m].
+    """
     forward, right, up = axes @ points.T
     radii = np.array([ROBOT_RADIUS, TARGET_RADIUS])
     return float(np.max(np.maximum((np.abs(right) + radii) / tan_right, (np.abs(up) + radii) / tan_up) - forward))
 
 
 def pitch(forward: np.ndarray) -> float:
-    """How far up a camera looks, from the horizontal [rad]."""
+    """Elevation of a camera's direction [rad]."""
     return float(np.arctan2(forward[2], np.hypot(forward[0], forward[1])))
 
 
 def sky(pitch_rad: float, fov_rad: float = FIELD_OF_VIEW_RAD, rows: int = 256) -> np.ndarray:
-    """(rows, 8, 3) what is behind everything for a camera that looks up so far: a sky with its horizon in place.
+    """(rows, 8, 3) background image for a camera with this pitch: a sky with its horizon.
 
     Below the horizon it has the horizon's colour, into which the ground fades.
     """
