@@ -1,6 +1,6 @@
-"""Imported with `--import`: the value at a time-out is bootstrapped as if the episode went on.
+"""Import this with `--import` to bootstrap the value at a time-out, as if the episode went on.
 
-It mimics an infinite horizon, which a task that observes its remaining time does not have; the paper removes it.
+This approximates an infinite horizon. The paper removes it, because a task that observes its remaining time has an end.
 """
 
 from arrive.task.final import FinalPositionTask

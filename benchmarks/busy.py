@@ -1,10 +1,10 @@
-"""What training costs beside a busy process, with the default threads and with one.
+"""Measures training throughput beside busy processes, with the default threads and with one thread.
 
     python benchmarks/busy.py [--num-envs 256] [--neighbours 1] [--rounds 5] [--out busy.json]
 
 Every round runs `arrive bench` four times, each in a process of its own: with the default threads and with --threads 1,
-alone and beside processes that keep a CPU busy each. So what disturbs the machine disturbs all four alike. Before each
-run it is measured how many CPUs others keep busy: the figures of "alone" mean something only if that is near 0.
+both alone and beside busy processes. A disturbance of the machine then affects all four. Before each run the number of
+CPUs that other processes keep busy is measured. The results of "alone" are only valid if it is near 0.
 """
 
 import contextlib
@@ -35,16 +35,16 @@ class Arguments:
     terrain: tyro.conf.Positional[str] = "flat"
     num_envs: int = 256
     neighbours: int = 1
-    """Busy processes beside the training."""
+    """Number of busy processes beside the training."""
     rounds: int = 5
     set: tuple[str, ...] = ()
-    """Changes to the configuration, as of `arrive bench`."""
+    """Changes to the configuration, as for `arrive bench`."""
     out: Path = Path("busy.json")
 
 
 @contextlib.contextmanager
 def busy(count: int) -> Iterator[None]:
-    """So many processes that keep a CPU busy each."""
+    """Run this number of processes, each of which keeps a CPU busy."""
     processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -55,7 +55,7 @@ def busy(count: int) -> Iterator[None]:
 
 
 def measure(arguments: Arguments, threads: str) -> dict[str, float]:
-    """One round of `arrive bench`: training throughput [samples/s], and how many CPUs others kept busy before it."""
+    """Run `arrive bench` once: training throughput [samples/s], and the number of CPUs that were busy before it."""
     others = busy_cpus()
     options = ["--rounds", "1", "--num-envs", str(arguments.num_envs), *THREADS[threads]]
     options += ["--set", *arguments.set] if arguments.set else []
@@ -63,14 +63,14 @@ def measure(arguments: Arguments, threads: str) -> dict[str, float]:
 
 
 def summary(rounds: list[dict[str, float]]) -> dict[str, Any]:
-    """Median, least and most of the rounds [samples/s], and the most CPUs that others kept busy."""
+    """Median, lowest and highest throughput [samples/s], and the highest number of busy CPUs."""
     rates = [row["rate"] for row in rounds]
     others = max(row["busy_cpus"] for row in rounds)
     return {"median": median(rates), "least": min(rates), "most": max(rates), "busy_cpus": others, "rates": rates}
 
 
 def main(arguments: Arguments) -> None:
-    """Print a table in Markdown and keep the figures."""
+    """Print a table in Markdown and write the results."""
     cases = {(place, threads): [] for place in ("alone", "busy") for threads in THREADS}
     for _ in range(arguments.rounds):
         for place, threads in cases:
@@ -85,7 +85,7 @@ def main(arguments: Arguments) -> None:
     print(markdown(["neighbours", "threads", "median [samples/s]", "least to most", "CPUs busy before it"], rows))
     for place in ("alone", "busy"):
         ratio = results[f"{place}, one"]["median"] / results[f"{place}, default"]["median"]
-        print(f"{place}: the default threads take {ratio:.2f} times as long as one")
+        print(f"{place}: with the default threads training takes {ratio:.2f} times as long as with one thread")
     settings = {key: value for key, value in vars(arguments).items() if key != "out"}
     write_json(arguments.out, {"results": results, "settings": settings, "commit": commit()})
 

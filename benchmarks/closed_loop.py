@@ -1,9 +1,9 @@
-"""The exported controller against the network it was exported from, over the episodes of `arrive eval`.
+"""Compares the exported controller with the network it was exported from, over the episodes of `arrive eval`.
 
     python benchmarks/closed_loop.py RUN [--terrain flat,rough] [--level 0] [--episodes 1000] [--seed 1] [--pushes 15]
 
-The network acts in the training environment as in `arrive eval`; then a controller per robot does, in float32 by
-onnxruntime, from measurements with the same noise. 1,000 episodes take about two minutes per terrain.
+First the network acts in the training environment, as in `arrive eval`. Then one controller per robot acts in the same
+environment, with onnxruntime in float32 and with the same noise. 1,000 episodes take about two minutes per terrain.
 """
 
 import argparse
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--level", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=1000, help="per terrain")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--pushes", type=float, help="mean time between pushes; as in training by default [s]")
+    parser.add_argument("--pushes", type=float, help="mean time between pushes [s]; by default as in training")
     parser.add_argument("--threads", type=int, default=1, help="physics threads")
     arguments = parser.parse_args()
     torch.set_num_threads(1)

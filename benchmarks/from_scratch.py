@@ -1,10 +1,10 @@
-"""What one command makes from nothing: trains terrain families with several seeds and measures each by the protocol.
+"""Trains terrain families from scratch with several seeds, and measures each policy by the protocol.
 
     python benchmarks/from_scratch.py gap pit --seeds 1 2 3 --samples 30M
     python benchmarks/from_scratch.py gap --set ppo.gamma=0.99 --out runs/gamma
 
-Given again, it goes on where it stopped. OUT/table.md and OUT/table.json say, for each run, what it solves, after how
-many samples its mean level of training rose by one, and how long it took.
+The same command continues an interrupted run. For each run, OUT/table.md and OUT/table.json have the solved values, the
+numbers of samples after which the mean terrain level reached 1, 2 and so on, and the duration.
 """
 
 import csv
@@ -23,7 +23,7 @@ from arrive.policies import DIFFICULTY_NAME
 
 @dataclass
 class Arguments:
-    """What to train, for how long, and how to measure it."""
+    """Training and measurement."""
 
     terrains: tyro.conf.Positional[tuple[str, ...]]
     """Terrain families; several joined by commas make one policy."""
@@ -31,17 +31,17 @@ class Arguments:
     samples: str = "30M"
     """Policy steps per run."""
     set: tuple[str, ...] = ()
-    """Changed fields, for experiments; the recipe goes without."""
+    """Changes to the configuration, as PATH=VALUE, for experiments."""
     processes: int = 2
-    """Runs beside each other, one thread each."""
+    """Number of parallel runs, with one thread each."""
     episodes: int = 500
-    """Per level, in the measurement."""
+    """Episodes per level in the measurement."""
     out: Path = Path("runs/from_scratch")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One policy to be made."""
+    """One policy to train."""
 
     terrain: str
     seed: int
@@ -61,7 +61,7 @@ def main(arguments: Arguments) -> None:
 
 
 def make(run: Run, arguments: Arguments) -> dict[str, Any]:
-    """Train and measure one policy, and sum up what came of it."""
+    """Train and measure one policy; returns its results."""
     if (run.folder / CHECKPOINT_NAME).exists():
         words = ("--resume", str(run.folder))
     else:

@@ -1,10 +1,10 @@
-"""What to do with rented minutes on a GPU: check that physics is right, time it, and train within a budget.
+"""Checks physics on a GPU, measures its throughput, and trains within a time budget.
 
-    python benchmarks/gpu.py --minutes 20 --out runs/gpu     # about 3 minutes of checks and timing, then 20 of training
-    python benchmarks/gpu.py --only train --minutes 60 --out runs/gpu     # goes on where that run stood
-    python benchmarks/gpu.py --device cpu --num-envs 16 32 --steps 5 --minutes 0.5 --train-envs 16     # dress rehearsal
+    python benchmarks/gpu.py --minutes 20 --out runs/gpu     # 3 minutes of checks and timing, 20 of training
+    python benchmarks/gpu.py --only train --minutes 60 --out runs/gpu  # continues that run
+    python benchmarks/gpu.py --device cpu --num-envs 16 32 --steps 5 --minutes 0.5 --train-envs 16  # without a GPU
 
-With `--device cpu` physics is still MuJoCo Warp's, slowly, on its CPU device.
+With `--device cpu`, physics is still MuJoCo Warp, on its slow CPU device.
 """
 
 import sys
@@ -34,7 +34,7 @@ CHECK_ROBOTS = 64
 CHECK_STATES = 10
 WARM_UP_STEPS = 10
 LIMITS = {"torque": 1e-3, "foot velocity": 1e-4, "acceleration, median": 0.05, "feet, share wrong": 0.005}
-"""Largest differences from MuJoCo's float64 that count as right [N m, m/s, m/s^2 or rad/s^2, 1]."""
+"""Largest accepted differences from MuJoCo in float64 [N m, m/s, m/s^2 or rad/s^2, share]."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +42,19 @@ class Benchmark:
     """Check, time and train on a GPU."""
 
     device: Literal["cuda", "cpu"] = "cuda"
-    """Where to run."""
+    """Device to run on."""
     only: Literal["check", "time", "train"] | None = None
-    """One of the three parts; all by default."""
+    """The only part to run; by default all three."""
     terrain: str = "all"
     """Terrain families to time and train on."""
     num_envs: tuple[int, ...] = (1024, 2048, 4096, 8192, 16384, 32768)
-    """Numbers of robots to time."""
+    """Numbers of robots to measure."""
     steps: int = 100
-    """Policy steps to time, of each number of robots."""
+    """Policy steps to measure with each number of robots."""
     minutes: float = 10.0
-    """Training time, counted from the run's beginning [min]."""
+    """Training time, measured from the start of the run [min]."""
     train_envs: int = 4096
-    """Robots to train with."""
+    """Number of robots in the training."""
     out: Path = Path("runs/gpu")
     """Folder of the training run; one that exists is resumed."""
 
@@ -81,7 +81,7 @@ def check(device: torch.device) -> bool:
 
 
 def differences(family: str, device: torch.device) -> dict[str, float]:
-    """What `LIMITS` bounds, over states of robots that move at random on a family."""
+    """The differences that `LIMITS` bounds, over states of robots that move randomly on a terrain family."""
     config = robust()
     terrain = replace(config.terrain, families=(family,), levels=CHECK_LEVELS, variants=1)
     config = replace(config, num_envs=CHECK_ROBOTS, terrain=terrain)
@@ -115,7 +115,7 @@ def assign_levels(config: Config) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def compare(reference, engine) -> tuple[torch.Tensor, ...]:
-    """(n,) differences in torque, foot velocity and acceleration; (n, feet) bool: contact told otherwise."""
+    """(n,) differences in torque, foot velocity and acceleration; (n, feet) bool: different contact."""
     expected, seen = reference.read(), engine.read()
     torque = (seen.joint_torque.cpu() - expected.joint_torque).abs().amax(-1)
     velocity = (seen.foot_vel_w.cpu() - expected.foot_vel_w).abs().amax((-2, -1))
@@ -161,7 +161,7 @@ def run(env: ArriveEnv, steps: int, device: torch.device) -> float:
 
 @contextmanager
 def timed_physics(env: ArriveEnv, device: torch.device) -> Iterator[list[float]]:
-    """Yield a list to which every step of the engine adds its wall time [s]; waits for the GPU before and after."""
+    """Yield a list to which every engine step appends its wall time [s], with the GPU synchronised before and after."""
     times: list[float] = []
     step = env.physics.step
 
@@ -183,7 +183,7 @@ def synchronise(device: torch.device) -> None:
 
 
 def train(command: Benchmark) -> None:
-    """Train, or go on training, until the budget is spent."""
+    """Train, or continue a training, until the budget is spent."""
     options = ["train", command.terrain, "--minutes", str(command.minutes), "--device", command.device]
     if (command.out / CHECKPOINT_NAME).is_file():
         options += ["--resume", str(command.out)]
@@ -193,7 +193,7 @@ def train(command: Benchmark) -> None:
 
 
 def main() -> None:
-    """Do the parts that were asked for; a failed check stops before time is spent on training."""
+    """Run the selected parts. A failed check stops the benchmark before timing and training."""
     command = tyro.cli(Benchmark, description=__doc__)
     device = choose_device(command.device)
     if command.only in (None, "check") and not check(device):

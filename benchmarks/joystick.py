@@ -1,11 +1,11 @@
-"""How well a policy follows the joystick: commanded against achieved speed, and falls in a hectic drive.
+"""Measures how well a policy follows a joystick: commanded and achieved speed, and falls in a random drive.
 
     python benchmarks/joystick.py [POLICY] [--picture docs/images/joystick.png] [--table joystick.md]
 
-POLICY is a run folder, a policy file, an exported file or the name of a shipped policy. The speeds are measured on flat
-ground, friction 1, without noise, pushes or payload, from standing, in eight directions relative to the heading that
-the robot starts with; the direction is fixed in the world, whichever way the robot turns. The first 2 s of each walk do
-not count; the mean velocity in the commanded direction over the next 6 s does.
+POLICY is a run folder, a policy file, an exported file or the name of a shipped policy. Speeds are measured on flat
+ground with friction 1, without noise, pushes or payload. Robots start standing and walk in eight directions relative to
+their first heading. The direction is fixed in the world, even if the robot turns. The result is the mean velocity in
+the commanded direction from 2 s to 8 s.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from arrive.terrain.ground import ground_of
 
 DIRECTIONS = 8
 SPEEDS = 5
-"""Commanded speeds from the slowest to the fastest."""
+"""Number of commanded speeds."""
 RUN_UP_S, MEASURED_S = 2.0, 6.0
 HECTIC_S = 300.0
 
@@ -58,12 +58,12 @@ def sticks(policy: PolicyFile) -> list[float]:
     """Stick magnitudes for evenly spaced speeds."""
     if policy.task.name == "continuous":
         return np.linspace(1.0 / SPEEDS, 1.0, SPEEDS).tolist()
-    # The slowest command is at the edge of the dead zone, a hair outside it.
+    # The slowest command is just outside the dead zone.
     return np.linspace(DEAD_ZONE + 1e-9, 1.0, SPEEDS).tolist()
 
 
 def walk(policy: PolicyFile, robot: SimulatedRobot, magnitude: float, direction: float, yaw: float) -> Walk:
-    """Hold one stick and see where the robot goes."""
+    """Hold one stick position and measure the velocity."""
     driver = Driver(robot, Controller(policy))
     robot.reset(yaw=yaw)
     stick = Joystick(magnitude * math.cos(direction), magnitude * math.sin(direction), yaw)
@@ -88,13 +88,13 @@ def measure(policy: PolicyFile, repeats: int) -> list[Walk]:
 
 
 def flat_robot(policy: PolicyFile) -> SimulatedRobot:
-    """On flat ground that does not end."""
+    """A robot on unlimited flat ground."""
     config: Config = saved_config(policy.meta["training"]["config"], policy.path)
     return SimulatedRobot(config, continued(ground_of("flat").build()))
 
 
 def hectic(policy: PolicyFile, seed: int) -> DriveStatistics:
-    """Five minutes of sticks that change every 0.3 to 2 s."""
+    """Drive for five minutes with random stick positions that change every 0.3 to 2 s."""
     driver = Driver(flat_robot(policy), Controller(policy))
     return run(driver, random_script(seed, HECTIC_S), HECTIC_S, lambda sample, statistics: None, real_time=False)
 
@@ -134,9 +134,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?")
     parser.add_argument("--picture", type=Path, default=Path("docs/images/joystick.png"))
-    parser.add_argument("--table", type=Path, help="file for the table; printed anyway")
+    parser.add_argument("--table", type=Path, help="file for the table, which is always printed")
     parser.add_argument("--repeats", type=int, default=5, help="starting headings per command")
-    parser.add_argument("--drives", type=int, default=3, help="hectic drives of five minutes, with seeds 1, 2, ...")
+    parser.add_argument("--drives", type=int, default=3, help="random drives of five minutes, with seeds 1, 2, ...")
     arguments = parser.parse_args()
     policy = open_policy(arguments.policy)
     name = arguments.policy or "shipped policy"
@@ -148,8 +148,8 @@ def main() -> None:
         driven = sum(statistics.driven_s for statistics in runs)
         asked, along = (sum(getattr(t, what) for t in runs) / driven for what in ("commanded_m", "along_m"))
         text += (
-            f"\n\n{len(runs)} drives of {HECTIC_S:.0f} s with a new stick every 0.3 to 2 s (seeds 1 to "
-            f"{len(runs)}): {falls} falls; asked for {asked:.2f} m/s on average, {along:.2f} m/s achieved along it."
+            f"\n\n{len(runs)} drives of {HECTIC_S:.0f} s with a new stick every 0.3 to 2 s (seeds 1 to {len(runs)}): "
+            f"{falls} falls; commanded {asked:.2f} m/s on average, achieved {along:.2f} m/s along the command."
         )
     print(text)
     if arguments.table:

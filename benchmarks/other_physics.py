@@ -1,4 +1,4 @@
-"""Does a policy arrive as often with physics, motors and a base that it was not trained with?
+"""Compares the success rate of a policy with its own physics, and with other physics, motors and another base.
 
     python benchmarks/other_physics.py POLICY [--terrain gap=0.2,flat] [--variants fine steps] [--episodes 500]
     python benchmarks/other_physics.py POLICY --variants network --network drive.safetensors
@@ -43,7 +43,7 @@ MENAGERIE_BASE = Inertial(19.2035, (0.0025, 0.0, 0.0502071), (0.217374, 0.639559
 
 Group = Literal["contacts", "fine", "steps", "motor", "network", "base", "engines"]
 Variant = tuple[str, Config, torch.device]
-"""What to call it, its configuration and where it runs."""
+"""Name, configuration and device."""
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Arguments:
 
 
 def variants(config: Config, arguments: Arguments) -> Iterator[Variant]:
-    """Everything that is measured, beginning with the policy's own configuration."""
+    """All selected variants, the policy's own configuration first."""
     cpu = torch.device("cpu")
     yield "as trained", config, cpu
     for group in arguments.variants:

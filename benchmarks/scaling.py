@@ -1,9 +1,9 @@
-"""How throughput grows with environments and threads.
+"""Measures throughput for several numbers of environments and threads.
 
     python benchmarks/scaling.py [--num-envs 256 512 1024 2048 4096] [--threads 1 2] [--rounds 5] [--out scaling.json]
 
-Every size is measured by `arrive bench` in a process of its own, one after the other, with as many steps per iteration
-as keep its samples the same.
+Each combination runs `arrive bench` in a process of its own, one after the other. The number of steps per iteration is
+chosen so that all have the same number of samples per iteration.
 """
 
 import json
@@ -16,7 +16,7 @@ from trainings import bench
 
 @dataclass
 class Arguments:
-    """What to measure."""
+    """Sizes and rounds."""
 
     terrain: tyro.conf.Positional[str] = "flat"
     num_envs: tuple[int, ...] = (256, 512, 1024, 2048, 4096)
@@ -24,12 +24,12 @@ class Arguments:
     rounds: int = 5
     start_from: Path | None = None
     samples: int = 12288
-    """Per iteration."""
+    """Samples per iteration."""
     out: Path = Path("scaling.json")
 
 
 def measure(arguments: Arguments, num_envs: int, threads: int) -> dict:
-    """One call of `arrive bench`."""
+    """Run `arrive bench` once."""
     options = ["--num-envs", str(num_envs), "--threads", str(threads), "--rounds", str(arguments.rounds)]
     options += ["--set", f"ppo.num_steps={max(1, arguments.samples // num_envs)}"]
     if arguments.start_from is not None:
@@ -38,7 +38,7 @@ def measure(arguments: Arguments, num_envs: int, threads: int) -> dict:
 
 
 def main(arguments: Arguments) -> None:
-    """Print a table in Markdown and keep the figures."""
+    """Print a table in Markdown and write the results."""
     results = []
     print("| environments | threads | engine | environment | over engine | collection | update | training |")
     print("|---|---|---|---|---|---|---|---|")

@@ -3,10 +3,10 @@
     python benchmarks/stability.py --samples 5e6
     python benchmarks/stability.py --grounds flat gap=0.2 --seeds 1 2 3 --samples 2e7 --threads 1
 
-Trains every ground with the preset as it is, with each of the changes taken back, and with all taken back: half the
-steps per iteration, episodes of 20 s, time-outs that are bootstrapped. Every run has the same number of samples. A seed
-succeeds where its policy arrives often enough by the protocol of maximum difficulty. Interrupted, it goes on where it
-stopped; results so far are in stability.json, which `arrive report --stability` shows.
+Trains on every ground with the preset, with each of the three changes undone, and with all undone: half the steps per
+iteration, episodes of 20 s, bootstrapped time-outs. All runs have the same number of samples. A seed succeeds if its
+policy reaches the success rate `--goal` by the protocol of maximum difficulty. The same command continues an
+interrupted benchmark. stability.json has the results so far; `arrive report --stability` shows them.
 """
 
 import statistics
@@ -24,33 +24,33 @@ from arrive.presets import get_preset
 
 OURS = "as it is"
 LONG_S = 20.0
-"""Episodes before the paper's change [s]."""
+"""Length of episodes before the paper's change [s]."""
 BOOTSTRAPPING = Path(__file__).parent / "bootstrapping.py"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to train."""
+    """Settings of one kind of training."""
 
     words: str
     settings: tuple[str, ...] = ()
     """Changes to the configuration, as PATH=VALUE."""
     module: Path | None = None
-    """Modules to import."""
+    """Module to import."""
 
 
 @dataclass
 class Arguments:
-    """What to train, and what counts as success."""
+    """Trainings, and the criterion for success."""
 
     samples: float = 5e6
     """Policy steps of every run."""
     grounds: tuple[str, ...] = ("flat", "gap=0.2")
-    """Families to train on, with the value to measure at where they have a parameter."""
+    """Terrain families to train on. A family with a parameter needs the value to measure at: NAME=VALUE."""
     seeds: tuple[int, ...] = (1, 2, 3, 4, 5)
     preset: str = "robust"
     goal: float = 0.9
-    """Share of the episodes that must arrive."""
+    """Success rate from which a seed succeeds."""
     episodes: int = 200
     threads: int = 0
     set: tuple[str, ...] = ()
@@ -59,7 +59,7 @@ class Arguments:
 
 
 def variants(preset: str) -> dict[str, Variant]:
-    """The preset, then each change taken back, then all."""
+    """The preset, then with each change undone, then with all undone."""
     steps = get_preset(preset).ppo.num_steps
     half = (f"ppo.num_steps={steps // 2}",)
     long = (f"task.episode_s={LONG_S}", f"task.episode_min_s={LONG_S}")
@@ -68,7 +68,7 @@ def variants(preset: str) -> dict[str, Variant]:
         "half steps": Variant(f"{steps // 2} instead of {steps} steps per iteration", half),
         "20 s": Variant(f"episodes of {LONG_S:g} s", long),
         "bootstrapped": Variant("bootstrapped time-outs", module=BOOTSTRAPPING),
-        "all": Variant("all three taken back", (*half, *long), BOOTSTRAPPING),
+        "all": Variant("all three undone", (*half, *long), BOOTSTRAPPING),
     }
 
 
@@ -77,7 +77,7 @@ def main(arguments: Arguments) -> None:
     torch.set_num_threads(1)
     choices = variants(arguments.preset)
     runs: list[dict[str, Any]] = []
-    # A whole comparison per seed, so that one that is cut off compares evenly.
+    # Seeds in the outer loop, so that an interrupted benchmark has complete comparisons.
     for seed in arguments.seeds:
         for ground in arguments.grounds:
             for name, variant in choices.items():

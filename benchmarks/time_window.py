@@ -1,12 +1,12 @@
-"""What does the task reward's dependence on time do? The reward window T_r, from half a second to the whole episode.
+"""Trains with several lengths of the reward window T_r, from half a second to the whole episode, and compares.
 
     python benchmarks/time_window.py gap=0.2 --samples 1e7
     python benchmarks/time_window.py stairs=0.1 --windows 0.5 2 8 --seeds 1 2 --samples 2e7 --threads 1
 
-With T_r = T the task is P_c; all episodes have the preset's longest time, so that every one can have such a window.
-Reports success, time, path and speed on the way by the protocol of maximum difficulty, and what walking costs on flat
-ground. Interrupted, it goes on where it stopped; results so far are in time_window.json, which `arrive report
---window` shows.
+With T_r = T the task is P_c. All episodes have the preset's longest time, so that every window fits. The results are
+success, arrival time, path and speed by the protocol of maximum difficulty, and the cost of walking on flat ground. The
+same command continues an interrupted benchmark. time_window.json has the results so far; `arrive report --window` shows
+them.
 """
 
 from dataclasses import dataclass
@@ -27,10 +27,10 @@ from arrive.presets import get_preset
 
 @dataclass
 class Arguments:
-    """What to train and how to measure it."""
+    """Trainings and measurements."""
 
     ground: tyro.conf.Positional[str] = "gap=0.2"
-    """Family to train on, with the value to measure at."""
+    """Terrain family to train on, with the value to measure at."""
     windows: tuple[float, ...] = ()
     """T_r [s]; 0.5, 1, 2, 4 and the preset's whole episode by default."""
     samples: float = 1e7
@@ -41,9 +41,9 @@ class Arguments:
     speeds: tuple[float, ...] = (0.5, 0.75, 1.0)
     """Commanded speeds for the cost of walking [m/s]."""
     robots: int = 20
-    """Per speed."""
+    """Robots per speed."""
     distance: float = 20.0
-    """How far each walks [m]."""
+    """Distance that each robot walks [m]."""
     threads: int = 0
     set: tuple[str, ...] = ()
     """Settings of all runs, as PATH=VALUE."""
@@ -74,7 +74,7 @@ def main(arguments: Arguments) -> None:
 
 
 def walking_costs(arguments: Arguments, folder: Path, policy: Policy) -> list[dict[str, Any]]:
-    """A row per speed, as of `arrive energy`; earlier results are read again."""
+    """One row per speed, as from `arrive energy`. Existing results are reused."""
     path = folder / "energy.json"
     wanted = {
         "samples": policy.samples,
@@ -90,7 +90,7 @@ def walking_costs(arguments: Arguments, folder: Path, policy: Policy) -> list[di
 
 
 def result(window: float, seed: int, policy: Policy, measured: dict[str, Any], energy: list) -> dict[str, Any]:
-    """One run's figures; times and paths are quartiles, None where nobody arrived."""
+    """Results of one run. Times and paths are quartiles, or None if no robot arrived."""
     usage = measured["usage"]
     figures = {key: usage.get(key) for key in ("arrival_time_s", "path_length_m", "speed_profile", "motion")}
     own = {"window_s": window, "seed": seed, "samples": policy.samples, "energy": energy}
@@ -127,7 +127,7 @@ def table(runs: list[dict[str, Any]]) -> str:
             f"{row['torque_sq'][0]:.0f} at {row['speed'][0]:.2f} m/s" for row in run["energy"] if row["torque_sq"]
         )
         success = f"{run['success']:.1%} ({low:.1%} to {high:.1%})"
-        rows.append([f"{run['window_s']:g}", str(run["seed"]), success, times, paths, costs or "nobody walked"])
+        rows.append([f"{run['window_s']:g}", str(run["seed"]), success, times, paths, costs or "no robot walked"])
     return markdown(["T_r [s]", "seed", "success", "time [s]", "path [m]", "squared torques per metre"], rows)
 
 

@@ -1,7 +1,7 @@
-"""Trainings that differ in a few settings: each is begun, continued and measured once, by whichever call gets to it.
+"""Shared by the benchmarks: trainings that can be continued, `arrive bench`, and tables.
 
-`stability.py` and `time_window.py` share this; `from_scratch.py` its command line and tables, `scaling.py` and
-`busy.py` its throughput.
+`stability.py` and `time_window.py` use `Training`, `from_scratch.py` the command line and tables, `scaling.py` and
+`busy.py` the throughput.
 """
 
 import shlex
@@ -23,9 +23,9 @@ from arrive.learning.run_files import read_progress
 from arrive.plugins import import_module
 
 LAST_SHARE = 0.1
-"""Figures of the critic are means over this last share of a run."""
+"""Results of the critic are means over this last share of a run."""
 CURVE_POINTS = 50
-"""Curves are thinned to this many points."""
+"""Number of points in a curve."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Training:
 
     folder: Path
     ground: str
-    """Family to train on, or NAME=VALUE with the value that success is measured at."""
+    """Terrain family to train on, or NAME=VALUE with the value at which success is measured."""
     seed: int
     samples: float
     """Policy steps of all robots."""
@@ -43,10 +43,10 @@ class Training:
     """Changes to the configuration, as PATH=VALUE."""
     threads: int = 0
     module: Path | None = None
-    """Imported before anything, as by `--import`."""
+    """Module to import, as with `--import`."""
 
     def finish(self) -> Policy:
-        """Train it, or the rest of it.
+        """Train, or continue the training, until the samples are spent.
 
         Raises:
             subprocess.CalledProcessError: the training failed.
@@ -61,14 +61,14 @@ class Training:
         elif read_progress(self.folder).samples < self.samples:
             arrive("train", family, *options, "--resume", str(self.folder))
         if self.module:
-            # Only so that the policy can be read: measuring it bootstraps nothing.
+            # Only because the policy needs it to be read; it has no effect on measuring.
             import_module(str(self.module))
         return load_policy(self.folder)
 
     def measure(self, policy: Policy, episodes: int) -> dict[str, Any]:
-        """Success by the protocol of maximum difficulty at the ground's value, and how the policy gets there.
+        """Success, time, path and speed by the protocol of maximum difficulty at the ground's value.
 
-        What was measured before is read again, if it is of the same policy and as many episodes.
+        An existing result is reused if it has the same policy and number of episodes.
         """
         path = self.folder / "measured.json"
         wanted = {"ground": self.ground, "episodes": episodes, "samples": policy.samples}
@@ -79,13 +79,13 @@ class Training:
         answer = difficulty.measure_difficulty(policy, [family], episodes, 1, threads=self.threads, chosen=chosen)
         (rows,), (usage,) = answer.results.values(), answer.content["policy"]["usage"].values()
         if len(rows) > 1:
-            raise SystemExit(f"{family.name} has a parameter: say at which value to measure, as {family.name}=VALUE")
+            raise SystemExit(f"{family.name} has a parameter: give the value to measure at, as {family.name}=VALUE")
         measured = wanted | {"success": rows[0].success, "interval": list(rows[0].interval), "usage": usage[0]}
         write_json(path, measured)
         return measured
 
     def critic(self) -> dict[str, Any]:
-        """Explained variance and loss of the value function: their last means, and the former's curve."""
+        """Explained variance and loss of the value function at the end of training, and the curve of the former."""
         log = read_log(self.folder)
         samples, explained, loss = (
             log[name] for name in ("progress/samples", "learning/explained_variance", "learning/value")
@@ -100,7 +100,7 @@ class Training:
 
 
 def arrive(*arguments: str) -> None:
-    """Run the command line."""
+    """Run `arrive` with these arguments."""
     subprocess.run([sys.executable, "-m", "arrive.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
@@ -113,7 +113,7 @@ def bench(*arguments: str) -> dict[str, Any]:
 
 
 def command() -> str:
-    """How this benchmark was called."""
+    """The command line of this benchmark."""
     return shlex.join(["python", *sys.argv])
 
 

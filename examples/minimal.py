@@ -1,8 +1,8 @@
-"""The least that runs a policy: one file, made-up measurements of a standing robot, one second of commands.
+"""The shortest program that runs a policy: constant measurements of a standing robot, and one second of commands.
 
     python examples/minimal.py robot.onnx
 
-Needs NumPy and onnxruntime alone, as on a robot's computer. A real loop is in `simulated_robot.py`.
+It only needs NumPy and onnxruntime, as on a robot's computer. `simulated_robot.py` has a complete control loop.
 """
 
 import sys
@@ -28,7 +28,7 @@ def main(path: str) -> None:
         )
         ground = GridHeights(np.zeros(len(policy.grid.points_m)), now_s)
         command = controller.step(sensors, Joystick(forward=0.5, left=0.0), ground, now_s)
-        # Here the targets would go to the drives, together with policy.robot.stiffness and .damping.
+        # A robot would now send the targets to its drives, with the gains policy.robot.stiffness and .damping.
     for name, target in zip(policy.robot.joint_names, command.targets, strict=True):
         print(f"{name}: {target:+.3f} rad")
     print(f"mode: {command.mode} {command.reason}".rstrip())

@@ -1,9 +1,9 @@
-"""Send a simulated robot to a place with the loop that would run on a real one.
+"""Send a simulated robot to a target, with the same control loop as on a real robot.
 
     python examples/simulated_robot.py [POLICY] [--terrain stairs=0.1] [--fast]
 
-The clock, the state estimate and the height map are three functions: on a robot, put your own in their place. Sensors
-are noisy, the map is 0.1 s old and has holes. Without `--fast` the loop keeps to real time.
+On a robot, replace the clock, `state_estimate` and `height_map` by your own. Here the sensors are noisy, and the map is
+0.1 s old and has holes. The loop runs in real time, or as fast as possible with `--fast`.
 """
 
 import argparse
@@ -26,7 +26,7 @@ rng = np.random.default_rng(0)
 
 
 def state_estimate(robot: SimulatedRobot, now_s: float) -> Sensors:
-    """What joint encoders, an inertial measurement unit and odometry would say."""
+    """Measurements with the noise of joint encoders, an inertial measurement unit and odometry."""
     exact = robot.sensors(now_s)
     return replace(
         exact,
@@ -38,7 +38,7 @@ def state_estimate(robot: SimulatedRobot, now_s: float) -> Sensors:
 
 
 def height_map(robot: SimulatedRobot, now_s: float, recent: deque[HeightMap]) -> HeightMap:
-    """A map as a mapping node publishes it: a little old, with cells that no camera has seen."""
+    """A map as from a mapping node: delayed, and with cells that no camera has seen."""
     seen = robot.height_map(now_s)
     holes = rng.random(seen.heights_w.shape) < HOLES
     recent.append(replace(seen, heights_w=np.where(holes, np.nan, seen.heights_w)))

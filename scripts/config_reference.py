@@ -32,7 +32,7 @@ OTHER = """
 
 
 def page() -> str:
-    """The whole page."""
+    """The page as Markdown."""
     presets = {name: list(rows(build())) for name, build in PRESETS.items()}
     configs = [build() for build in PRESETS.values()]
     parts = [HEAD.format(presets=", ".join(f"`{name}`" for name in presets))]
@@ -58,19 +58,19 @@ def listing() -> str:
 
 
 def section_of(row: FieldInfo) -> str:
-    """The heading that a field stands under."""
+    """The heading of a field's section."""
     section, dot, _ = row.path.partition(".")
     return f"`{section}`" if dot else "The run"
 
 
 def values(same: Iterable[FieldInfo]) -> str:
-    """The value of one field in every preset; one where they agree."""
+    """The value of one field in every preset; a single one if they agree."""
     shown = [f"`{json.dumps(row.value)}`" for row in same]
     return shown[0] if len(set(shown)) == 1 else ", ".join(shown)
 
 
 def table(fields: list[tuple[FieldInfo, str]]) -> str:
-    """Field, value, unit, range and meaning."""
+    """A table with field, value, unit, range and meaning."""
     lines = ["| field | value | unit | range | meaning |", "|---|---|---|---|---|"]
     for row, value in fields:
         cells = (f"`{row.path}`", value, row.unit, row.range, row.meaning)

@@ -32,7 +32,7 @@ brackets. How these belong together is in [deployment.md](deployment.md).
 
 
 def page() -> str:
-    """The whole page."""
+    """The page as Markdown."""
     parts = [HEAD]
     for name in arrive.deployment.__all__:
         parts.append(f"## `{name}`\n\n{describe(name, getattr(arrive.deployment, name))}")
@@ -68,7 +68,7 @@ def describe(name: str, thing: Any) -> str:
 
 
 def method(kind: type, name: str) -> str:
-    """A public method, or nothing where the member is none."""
+    """A public method; empty for other members."""
     member = inspect.getattr_static(kind, name)
     if isinstance(member, property):
         return f"### `{kind.__name__}.{name}`\n\n{prose(member.fget)}"
@@ -82,7 +82,7 @@ def function(name: str, call: Any) -> str:
 
 
 def signature(thing: Any, of_class: bool = False) -> str:
-    """Arguments with types and defaults, without `self`; one a line where they would be too long."""
+    """Arguments with types and defaults, without `self`; one per line if they do not fit into one line."""
     found = inspect.signature(thing)
     rows = [argument(row) for name, row in found.parameters.items() if name not in ("self", "cls")]
     returned = found.return_annotation
@@ -92,7 +92,7 @@ def signature(thing: Any, of_class: bool = False) -> str:
 
 
 def argument(row: inspect.Parameter) -> str:
-    """Name, type and default; what is made by a class without arguments is shown as that."""
+    """Name, type and default. A dataclass as default is shown as a call without arguments."""
     default = row.default
     if default is row.empty:
         return f"{row.name}: {type_name(row.annotation)}"
@@ -101,7 +101,7 @@ def argument(row: inspect.Parameter) -> str:
 
 
 def type_name(annotation: Any) -> str:
-    """A type without the modules it comes from."""
+    """A type without its modules."""
     text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
     return re.sub(r"\b(?:\w+\.)+(?=\w)", "", text.replace("'", ""))
 

@@ -25,7 +25,7 @@ cell means that there was nothing to measure.
 
 
 def page() -> str:
-    """The whole page."""
+    """The page as Markdown."""
     return HEAD + "".join(f"| `{metric.name}` | {metric.unit} | {metric.meaning} |\n" for metric in METRICS)
 
 

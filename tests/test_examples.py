@@ -249,7 +249,7 @@ def test_the_ros_node_ignores_what_is_in_another_frame_or_cannot_be_read(ros):
     turned = grid_map(terrain, 0.0)
     turned.info.pose.orientation.z = 0.7
     ros.publish("elevation_map", turned)
-    assert "turned" in ros.node.warnings[-1]
+    assert "rotated" in ros.node.warnings[-1]
     poor = grid_map(terrain, 0.0)
     poor.layers = ["variance", "slope"]
     ros.publish("elevation_map", poor)

@@ -143,7 +143,7 @@ def test_the_window_goes_from_half_a_second_to_the_whole_episode(made, tmp_path,
     assert windows == [0.5, 1.0, 2.0, 4.0, 8.0]
     content = json.loads((tmp_path / "time_window.json").read_text())
     assert content["protocol"]["episode_s"] == 8.0
-    assert "nobody walked" in capsys.readouterr().out
+    assert "no robot walked" in capsys.readouterr().out
     assert "<img" in window_section(content)
     with pytest.raises(SystemExit, match="at most the episode of 8 s"):
         time_window.main(time_window.Arguments("gap=0.2", windows=(9.0,), out=tmp_path))

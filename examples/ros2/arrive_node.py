@@ -4,18 +4,18 @@
 
 | topic | type | what |
 |---|---|---|
-| `joint_states` | sensor_msgs/JointState | positions and velocities; order by name |
+| `joint_states` | sensor_msgs/JointState | positions and velocities, in any order |
 | `odom` | nav_msgs/Odometry | pose in the world frame, twist in the base frame |
 | `elevation_map` | grid_map_msgs/GridMap | layer `layer` (`elevation`), in the frame of `odom` |
 | `points` | sensor_msgs/PointCloud2 | instead of a map: ground points without the robot's own, in the frame of `odom` |
-| `goal` | geometry_msgs/PoseStamped | a point on the ground, in the frame of `odom`; reached at `speed` (0.75 m/s) |
+| `goal` | geometry_msgs/PoseStamped | a point on the ground, in the frame of `odom`; approached at `speed` (0.75 m/s) |
 | `joy` | sensor_msgs/Joy | axes 1 and 0 walk while button `deadman` (4) is held; letting go stops |
 | `commands` (out) | std_msgs/Float64MultiArray | joint positions for ros2_control's forward_command_controller [rad] |
 | `status` (out) | std_msgs/String | the controller's mode, and its reason |
 
-The last goal counts, and the stick overrules it. Without grid_map_msgs the node offers no `elevation_map`. The drives
-must run with the stiffness and damping that the node logs. Commands begin with the first step in which all inputs were
-good.
+The node follows the latest goal, but the joystick has priority. Without grid_map_msgs there is no topic
+`elevation_map`. The drives must run with the stiffness and damping that the node logs. The node publishes commands from
+the first step in which all inputs are valid.
 """
 
 import math
@@ -36,15 +36,15 @@ except ImportError:
     GridMap = None
 
 STICK_AGE_S = 0.5
-"""A held stick that says nothing for this long counts as let go [s]."""
+"""Without a joystick message for this time, the stick is taken as released [s]."""
 STOP = Joystick(0.0, 0.0)
 
 
 class ArriveNode(Node):
-    """Steps the controller by a timer with the newest message of every topic."""
+    """Steps the controller periodically, with the newest message of every topic."""
 
     def __init__(self):
-        """Read the policy and join the topics.
+        """Load the policy and subscribe to the topics.
 
         Raises:
             ArriveError: the policy cannot be run.
@@ -84,7 +84,7 @@ class ArriveNode(Node):
         self._status.publish(String(data=f"{command.mode} {command.reason}".rstrip()))
 
     def _goal_at(self, now_s: float) -> Joystick | Target:
-        """The stick while it is held, a stop once it was let go, else the last goal."""
+        """The stick while it is held; a stop after it is released; otherwise the latest goal."""
         if self._stick is not None and now_s - self._stick_s > STICK_AGE_S:
             self._stick, self._goal = None, STOP
         return self._goal if self._stick is None else self._stick
@@ -102,7 +102,7 @@ class ArriveNode(Node):
         self._take_ground(message, lambda: point_cloud_of(message))
 
     def _take_ground(self, message, convert) -> None:
-        """Keep the ground; what cannot be used is said, and the last one grows stale in the controller."""
+        """Store the ground of a message. Warn if the message is unusable, and keep the last ground."""
         try:
             if self._in_world(message):
                 self._terrain = convert()
@@ -126,7 +126,7 @@ class ArriveNode(Node):
             self._stick, self._goal = None, STOP
 
     def _in_world(self, message) -> bool:
-        """Whether a message is in the frame of the odometry; another would need a transform."""
+        """Whether a message is in the frame of the odometry. Other frames are not supported."""
         if self._odometry is None:
             return False
         frame, world = message.header.frame_id, self._odometry.header.frame_id

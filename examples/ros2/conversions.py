@@ -1,7 +1,7 @@
 """Convert ROS 2 messages for the controller. It only reads their fields, so tests need no ROS.
 
-Units are those of REP 103 on both sides: m, rad, s. Two orders differ: ROS quaternions are (x, y, z, w), and a grid_map
-begins at its corner of largest x and y.
+Both sides use the units of REP 103: m, rad, s. Two orders differ: ROS quaternions are (x, y, z, w), and the cells of a
+grid_map begin at the corner with the largest x and y.
 """
 
 import math
@@ -22,11 +22,11 @@ def seconds(stamp: Any) -> float:
 
 
 def sensors_of(joints: Any, odometry: Any, names: Sequence[str]) -> Sensors:
-    """Measurements of one moment, as old as the older of the two messages.
+    """Measurements of one moment, with the time of the older message.
 
     Args:
-        joints: sensor_msgs/JointState in any order; a joint that it lacks becomes NaN, which the controller refuses.
-        odometry: nav_msgs/Odometry, whose twist is in the frame of the base (`child_frame_id`), as REP 105 has it.
+        joints: sensor_msgs/JointState in any order; a missing joint becomes NaN, which the controller rejects.
+        odometry: nav_msgs/Odometry, with its twist in the base frame (`child_frame_id`).
         names: the policy's joints, in its order.
     """
     places = {name: i for i, name in enumerate(joints.name)}
@@ -47,19 +47,19 @@ def height_map_of(message: Any, layer: str) -> HeightMap:
     """The elevation layer of a grid_map_msgs/GridMap.
 
     Raises:
-        ValueError: no such layer, or the map is turned against its frame.
+        ValueError: the layer is missing, or the map is rotated in its frame.
     """
     if layer not in message.layers:
         raise ValueError(f"the grid map has no layer {layer!r}, only {', '.join(message.layers)}")
     info, turn = message.info, message.info.pose.orientation
     if math.hypot(turn.x, turn.y, turn.z) > 1e-6:
-        raise ValueError("the grid map is turned against its frame")
+        raise ValueError("the grid map is rotated in its frame")
     data = message.data[list(message.layers).index(layer)]
     outer, inner = data.layout.dim
     cells = np.asarray(data.data, dtype=np.float64).reshape(outer.size, inner.size)
     if outer.label == "column_index":
         cells = cells.T
-    # A grid map is a ring buffer; unrolled, its rows go down in x and its columns in y.
+    # A grid map is a ring buffer. Unrolled, x decreases with the row index and y with the column index.
     cells = np.roll(cells, (-message.outer_start_index, -message.inner_start_index), axis=(0, 1))
     corner = (info.pose.position.x - info.length_x / 2, info.pose.position.y - info.length_y / 2)
     return HeightMap(corner, info.resolution, cells[::-1, ::-1], seconds(message.header.stamp))
@@ -69,7 +69,7 @@ def point_cloud_of(message: Any) -> PointCloud:
     """The x, y and z of a sensor_msgs/PointCloud2.
 
     Raises:
-        ValueError: these are not float32.
+        ValueError: one of them is missing or not float32.
     """
     fields = {field.name: field for field in message.fields}
     if not all(name in fields and fields[name].datatype == FLOAT32 for name in "xyz"):
@@ -86,7 +86,7 @@ def point_cloud_of(message: Any) -> PointCloud:
 
 
 def _in_order(values: Sequence[float], places: dict[str, int], names: Sequence[str]) -> np.ndarray:
-    """Values by joint name; velocities may be missing altogether."""
+    """The values in the order of `names`; NaN for missing ones. A message may have no velocities at all."""
     known = [places.get(name, len(values)) for name in names]
     return np.array([values[i] if i < len(values) else math.nan for i in known])
 

@@ -136,7 +136,7 @@ def stability_section(content: dict[str, Any] | None) -> str:
     protocol = content["protocol"]
     note = (
         "<p class=soft>The paper doubles the steps per iteration, shortens episodes from 20 to 6 s and does not "
-        f"bootstrap time-outs. Each is taken back in turn, then all. A seed succeeds where its policy arrives in at "
+        f"bootstrap time-outs. Each is undone in turn, then all. A seed succeeds where its policy arrives in at "
         f"least {protocol['goal']:.0%} of {protocol['episodes']} episodes of the protocol on the terrain named. "
         f"Preset {html.escape(protocol['preset'])}, {protocol['samples'] / 1e6:g} M samples a run; explained variance "
         "and loss of the value function are means over the last tenth.</p>"

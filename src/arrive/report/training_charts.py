@@ -9,7 +9,7 @@ from arrive.report.text import plain
 
 
 def stability_figure(content: dict[str, Any], columns: int = COLUMNS) -> Figure:
-    """Every seed's success by what was taken back, and the value function's explained variance over the samples.
+    """Every seed's success by what was undone, and the value function's explained variance over the samples.
 
     Args:
         content: written by benchmarks/stability.py.
