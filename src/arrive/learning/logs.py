@@ -239,7 +239,7 @@ def _read_rows(path: Path) -> tuple[list[str], list[LogRow]]:
     text = read_text(path)
     lines = text[: text.rfind("\n") + 1].split("\n")[:-1]
     if not lines and not text.startswith("iteration") and not "iteration".startswith(text):
-        raise ArriveError(f"{path} is no log of arrive: it has no first line of names")
+        raise ArriveError(f"{path} is not a log of arrive: it has no first line with names")
     columns = _cells(lines[0]) if lines else ["iteration"]
     if columns[0] != "iteration" or len(set(columns)) != len(columns):
         raise ArriveError(f"{path} is not a log of arrive: its first line must be iteration and other unique names")

@@ -179,7 +179,7 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
     check_result(content, "record", path, "Restore the file from a copy.")
     require_imports(folder)
     config = saved_config(content["config"], path)
-    # What an older version did not write is filled in for those who read the record.
+    # Fields that an older version did not write get their defaults.
     return with_own_motor(config, folder), content | {"config": to_dict(config)}
 
 

@@ -33,7 +33,7 @@ class Settings:
     decimation: int
     """Physics steps per policy step."""
     calm: bool
-    """Whether nobody is pushed or sent to a new target within an episode."""
+    """Whether there are neither pushes nor new targets within an episode."""
 
 
 def settings_at(config: Config, spent: float, seeking: float) -> Settings:

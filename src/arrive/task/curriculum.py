@@ -122,7 +122,7 @@ class ExplorationSwitch:
         return float(self.fractions.nanmean().nan_to_num())
 
     def record(self, share: Tensor, weight: Tensor) -> None:
-        """Add one policy step to the mean, and decide every CHECK_STEPS steps, the first time later.
+        """Add one policy step to the mean. Decide every CHECK_STEPS steps, the first time after `first_steps`.
 
         Args:
             share: (num_envs,) task reward over its maximum.
@@ -144,7 +144,7 @@ class ExplorationSwitch:
     def _decide(self) -> None:
         earned, count = self._sums
         self.fractions = torch.where(count > 0, earned / count, self.fractions)
-        self.active &= ~(self.fractions >= FOUND)  # NaN decides nothing
+        self.active &= ~(self.fractions >= FOUND)  # a family without samples has NaN, and keeps its state
         self._sums.zero_()
         self._steps = 0
 

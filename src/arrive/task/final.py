@@ -18,7 +18,7 @@ from arrive.task.task import ConstantCommand, Outcome, Start, TaskConfig, TaskCo
 OBSTACLE_HEIGHT = 0.6
 """Ground this much higher than both robot and target, on the line between them, is an obstacle in the way [m]."""
 APPROACH = 0.3
-"""A robot that got closer to the target by less than this did not set out, so no obstacle stopped it [m]."""
+"""If a robot came closer to the target by less than this, it did not set out, and no obstacle stopped it [m]."""
 LINE_POINTS = 64
 """Number of points on that line whose height is looked up: at most 0.1 m apart."""
 
@@ -39,11 +39,11 @@ class PositionConfig(TaskConfig):
     target_height: NotNegative = 0.5
     """Height of targets above the ground [m]."""
     crossing_share: Share = 0.0
-    """Share of the targets that are drawn only beyond the terrain that is to be crossed, where they count for the
-    curriculum. Without it many targets need no crossing: among pillars, a straight walk reaches two thirds of them."""
+    """Share of the targets that are only drawn beyond the terrain to be crossed, where success changes the terrain
+    level. Without it, many targets need no crossing: among pillars, a straight walk reaches two thirds of them."""
     nearest_share: Share = 0.0
-    """Share of those targets that are just beyond the terrain to be crossed: robots must also learn to stop there and
-    to stand with their hind feet near an edge."""
+    """Share of those targets that lie just beyond that terrain, so that robots learn to stop with their hind feet near
+    an edge."""
     retarget_s: NotNegative = 0.0
     """Mean time after which a robot in training gets a new target and a new time for it within the same episode; 0 for
     never [s]."""
@@ -86,7 +86,7 @@ class FinalConfig(PositionConfig):
 
 
 def arrival_radius(task: TaskConfig) -> float:
-    """How near to its target a robot has arrived [m]; of a task without targets, what other tasks have by default."""
+    """Distance to the target at which a robot has arrived [m]; the position tasks' default for a task without targets."""
     return task.arrival_radius if isinstance(task, PositionConfig) else PositionConfig.arrival_radius
 
 

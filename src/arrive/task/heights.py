@@ -23,8 +23,8 @@ class HeightsConfig:
     """Factor on the height samples that the policy receives [1/m]."""
     clip: Interval = (-1.0, 1.0)
     """Relative heights are clipped to this range [m]. They are measured down from a point 0.5 m below the base: -1 is
-    ground 1 m above that point, 0.4 is ground 0.4 m below it. A low upper limit makes all ground look the same that is
-    too deep for the feet, whether half a metre deep or two."""
+    ground 1 m above that point, 0.4 is ground 0.4 m below it. With a low upper limit, all ground that is too deep for
+    the feet looks the same."""
     length: Annotated[float, Range(0.0, 2.0 * RASTER_HALF, above=True)] = 1.6
     """Extent of the grid along the heading [m]."""
     width: Annotated[float, Range(0.0, 2.0 * RASTER_HALF, above=True)] = 1.0

@@ -100,9 +100,9 @@ def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Targ
 
 
 def next_valid(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
-    """(n, 2) the points themselves where a target is allowed, otherwise the next valid point on the origin's ray.
+    """(n, 2) the points themselves where a target is allowed, otherwise the next valid point on the ray from the origin.
 
-    Points beyond are tried first, nearest first, then those closer to the origin.
+    Points farther out are tried first, the nearest first, then those closer to the origin.
 
     Args:
         tile_ids: (n,) rasters of the robots' tiles.
