@@ -1,4 +1,4 @@
-"""What several test files need."""
+"""Fixtures for several test files."""
 
 from pathlib import Path
 

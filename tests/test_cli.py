@@ -106,7 +106,7 @@ def test_an_unknown_name_lists_the_valid_ones(refused, arguments, valid):
         (["eval", "."], ["no file", "policy.pt"]),
     ],
 )
-def test_what_cannot_be_done_is_refused_with_a_reason(refused, arguments, words):
+def test_impossible_commands_are_refused_with_a_reason(refused, arguments, words):
     message = refused(*arguments)
     for word in words:
         assert word in message
@@ -145,7 +145,7 @@ def test_an_existing_run_is_not_overwritten(refused, trained):
         (["flat", "--start-from", "elsewhere"], ["keeps its configuration"]),
     ],
 )
-def test_a_resumed_run_stays_what_it_was(refused, trained, options, words):
+def test_a_resumed_run_keeps_its_configuration(refused, trained, options, words):
     before = (trained / "checkpoint.pt").read_bytes()
     message = refused("train", *options, "--resume", trained)
     for word in words:

@@ -20,7 +20,7 @@ from arrive.terrain import parse_families
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_survives_the_way_through_json(name):
+def test_a_preset_is_unchanged_by_json(name):
     config = get_preset(name)
     assert config.preset == name
     text = json.dumps(to_dict(config), allow_nan=False)
@@ -256,7 +256,7 @@ def test_a_field_of_another_task_is_an_error():
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_every_field_says_what_it_is(name):
+def test_every_field_has_documentation(name):
     for row in rows(CONFIGS[name]()):
         assert row.meaning or row.path.count(".") > 2, row.path
         if isinstance(row.value, float | int) and not isinstance(row.value, bool):

@@ -1,4 +1,4 @@
-"""The reference of the configuration says what the code says, of every field."""
+"""docs/configuration.md is up to date and has every field."""
 
 import pytest
 

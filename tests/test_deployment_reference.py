@@ -1,4 +1,4 @@
-"""The reference of `arrive.deployment` says what the code says, with units."""
+"""docs/deployment-reference.md is up to date, with all arguments and units."""
 
 import dataclasses
 import inspect
@@ -34,7 +34,7 @@ def test_everything_public_has_its_arguments_on_the_page(reference):
 
 
 @pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
-def test_what_has_a_unit_in_its_name_has_one_in_its_text(reference, kind):
+def test_a_unit_in_a_name_is_also_in_its_documentation(reference, kind):
     texts = reference.field_docs(kind)
     assert set(texts) == {field.name for field in dataclasses.fields(kind)}
     for name, text in texts.items():
@@ -44,7 +44,7 @@ def test_what_has_a_unit_in_its_name_has_one_in_its_text(reference, kind):
                 break
 
 
-def test_what_the_script_makes_of_a_docstring(reference):
+def test_docstrings_become_markdown(reference):
     def example(self, size: int, name: "str" = "x") -> "Path":
         """Do it.
 

@@ -1,4 +1,4 @@
-"""The documentation site builds without a warning: every page is reachable and every link leads somewhere."""
+"""The documentation site builds without warnings or dead links."""
 
 import re
 import subprocess

@@ -203,7 +203,7 @@ def test_the_exploration_reward_goes_with_the_switch_and_no_other_does():
         torch.testing.assert_close(second.log.rewards[name], share * first.log.rewards[name])
 
 
-def test_the_first_step_of_an_episode_knows_no_velocities_of_the_last():
+def test_the_first_step_of_an_episode_has_no_velocity_differences_to_the_previous_one():
     """Accelerations are differences over a step: across a reset they would be penalised, and huge."""
     env = settled(config_of(randomisation=CALM))
     overturn(env, torch.arange(4), joint_vel=6.0)
@@ -238,7 +238,7 @@ def test_pushes_come_at_the_configured_rate_and_speed():
     assert float(velocity[:, :2].mean(0).abs().max()) < 4 * 0.8 / (3 * len(velocity)) ** 0.5
 
 
-def test_a_calm_environment_neither_pushes_nor_sends_elsewhere():
+def test_a_calm_environment_has_neither_pushes_nor_new_targets():
     config = config_of(robust, 20, randomisation=replace(CALM, push_speed=0.5, push_interval_s=0.1))
     env = build_env(replace(config, task=replace(config.task, retarget_s=0.1)), threads=1)
     pushed: list[Tensor] = []
@@ -262,7 +262,7 @@ def test_a_push_is_seen_at_once():
     torch.testing.assert_close(seen, velocity, atol=0.02, rtol=0.0)
 
 
-def test_robots_are_dealt_to_the_families_in_equal_parts():
+def test_robots_are_distributed_equally_over_the_families():
     env = build_env(config_of(num_envs=11, families=MIXED), threads=1)
     assert torch.bincount(env.family_of_env).tolist() == [3, 2, 2, 2, 2]
     for i in range(11):
@@ -316,7 +316,7 @@ def test_robots_that_review_an_easier_level_keep_their_own_and_do_not_count():
     assert torch.equal(env.curriculum.levels, torch.where(reviewing, own, (own - 1).clamp(min=0)))
 
 
-def test_robots_settle_on_the_levels_reached_before():
+def test_a_warm_start_draws_from_the_levels_reached_before():
     env = build_env(config_of(num_envs=60, families=("pit", "gap", "flat")), threads=1)
     gap = env.family_of_env == 1
     before = env.curriculum.levels[gap].clone()
@@ -328,7 +328,7 @@ def test_robots_settle_on_the_levels_reached_before():
     assert env.memory.shortened.all()
 
 
-def test_shortened_episodes_move_no_level():
+def test_shortened_episodes_change_no_level():
     env = build_env(config_of(num_envs=6, families=("pit",), randomisation=CALM), threads=1)
     levels = env.curriculum.levels.clone()
     env.task.command.time_left_s[:], env.task.command.crossing[:] = 0.02, True

@@ -291,7 +291,7 @@ def test_a_point_cloud_is_read_by_its_fields_names(ros):
         point_cloud_of(cloud)
 
 
-def test_joints_that_a_message_lacks_are_not_made_up(ros):
+def test_joints_that_a_message_lacks_are_nan(ros):
     from conversions import sensors_of
 
     sensors = ros.robot.sensors(2.0)

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, read in one tolerant way."""
+"""Files: written completely or not at all, and read with errors of one line."""
 
 import errno
 import os
@@ -34,7 +34,7 @@ def test_a_file_keeps_its_permissions_and_a_link_its_target(tmp_path):
     assert (tmp_path / "kept").stat().st_mode & 0o777 == 0o600
 
 
-def test_what_is_no_regular_file_is_written_directly(tmp_path):
+def test_devices_and_pipes_are_written_directly(tmp_path):
     write_text(os.devnull, "nothing")
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -121,7 +121,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, place):
     assert names(tmp_path) == ["file", "folder"]
 
 
-def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path):
+def test_only_unfinished_files_of_a_killed_process_are_removed(tmp_path):
     """The write is killed between the first byte and the last."""
     path = tmp_path / "checkpoint.pt"
     write_text(path, "old")

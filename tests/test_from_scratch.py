@@ -12,7 +12,7 @@ def benchmark():
     return load("benchmarks/from_scratch.py")
 
 
-def test_it_trains_measures_and_goes_on_where_it_stopped(benchmark, tmp_path, monkeypatch):
+def test_it_trains_measures_and_continues_after_an_interruption(benchmark, tmp_path, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "disable")  # films are not what is tested
     arguments = benchmark.Arguments(("flat",), (1, 2), "200", TINY, processes=1, episodes=2, out=tmp_path)
     benchmark.main(arguments)

@@ -1,4 +1,4 @@
-"""A robot of six legs with four joints each, all the way: trained, exported, driven, measured and drawn."""
+"""A robot with six legs of four joints: trained, exported, controlled, measured and drawn."""
 
 import socket
 
@@ -111,7 +111,7 @@ def test_it_is_measured_and_drawn(trained, tmp_path, monkeypatch, capsys):
         assert Image.open(tmp_path / name).size[0] > 300
 
 
-def test_its_footfalls_are_a_tripod():
+def test_its_gait_is_a_tripod():
     """Six rows of bars, named by its feet."""
     time = np.arange(300) * 0.02
     first = (time % 0.5 < 0.3)[:, None, None]

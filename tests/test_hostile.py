@@ -266,7 +266,7 @@ def one_line(err: str) -> bool:
     return err.startswith("arrive: ") and err.count("\n") == 1
 
 
-def test_hostile_lines_are_refused_or_done(there, samples, capfd):
+def test_hostile_command_lines_are_refused_or_run(there, samples, capfd):
     before = sorted(path for path in (there / "run").rglob("*") if path.is_file())
     complaints = []
     for line in draw(samples, LINES, SEED_OF_LINES):

@@ -1,4 +1,4 @@
-"""The wheel in a fresh environment: with all that it needs, and on a robot with NumPy and onnxruntime alone."""
+"""The wheel in a fresh environment with all dependencies, and on a robot with only NumPy and onnxruntime."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""A lock: one holder, whose death ends it and whose name it tells."""
+"""The lock: one holder at a time, named in the file, released when its process ends."""
 
 import json
 import os
@@ -53,7 +53,7 @@ def test_a_living_process_keeps_its_lock_and_a_killed_one_loses_it(tmp_path, hol
         assert json.loads(lock.path.read_text())["pid"] == os.getpid()
 
 
-def test_a_number_that_another_process_has_now_does_not_keep_a_lock(tmp_path):
+def test_a_reused_process_id_does_not_keep_a_lock(tmp_path):
     """The owner died, and its process id was given to somebody else: here to ourselves."""
     path = tmp_path / "run.lock"
     path.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
@@ -61,7 +61,7 @@ def test_a_number_that_another_process_has_now_does_not_keep_a_lock(tmp_path):
         pass
 
 
-def test_what_another_host_holds_is_never_taken(tmp_path):
+def test_a_lock_of_another_host_is_never_taken(tmp_path):
     path = tmp_path / "run.lock"
     path.write_text(json.dumps({"pid": 77, "host": "elsewhere"}))
     with pytest.raises(ArriveError, match=r"process 77 on elsewhere\. If that process has ended, delete .*run\.lock"):
@@ -95,7 +95,7 @@ def test_an_unreadable_lock_that_nobody_holds_is_taken(tmp_path, content):
         assert json.loads(path.read_text())["pid"] == os.getpid()
 
 
-def test_a_child_that_inherits_it_holds_it_on(tmp_path):
+def test_a_child_process_that_inherits_the_lock_keeps_it(tmp_path):
     lock = Lock(tmp_path / "run.lock", "the run")
     lock.acquire()
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock.handle])

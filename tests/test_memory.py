@@ -1,4 +1,4 @@
-"""Memory: estimated before anything is built, close to what is taken, and what fits is said."""
+"""The memory check: its estimates, and its message with the number that fits."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ def one_gib(monkeypatch):
     monkeypatch.setattr(room, "free_memory", lambda: GIB)
 
 
-def test_what_does_not_fit_is_refused_and_says_how_many_do(one_gib):
+def test_too_many_items_are_refused_with_the_number_that_fits(one_gib):
     check_room(4, GIB / 4, "robots", "--num-envs")
     words = r"not enough memory for 5 robots: about 1\.7 GiB are needed and 1\.0 GiB are free; 2 fit, .*--num-envs"
     with pytest.raises(ArriveError, match=words):
@@ -48,7 +48,7 @@ def test_what_does_not_fit_is_refused_and_says_how_many_do(one_gib):
         check_room(10**400, 1.0, "robots", "--num-envs")
 
 
-def test_the_narrower_of_machine_and_container_counts(monkeypatch, tmp_path):
+def test_the_smaller_limit_of_machine_and_container_counts(monkeypatch, tmp_path):
     limit, use = tmp_path / "max", tmp_path / "current"
     monkeypatch.setattr(room, "GROUPS", ((str(limit), str(use)),))
     monkeypatch.setattr(room, "_machine_free", lambda: 5e9)

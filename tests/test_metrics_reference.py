@@ -1,4 +1,4 @@
-"""Every figure that training logs is explained, and nothing is explained that it does not log."""
+"""docs/metrics.md explains every metric that training logs, and no other."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Waiting threads sleep where others need the CPUs, and only there."""
+"""torch's waiting threads sleep if other processes need the CPUs, and only then."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ def test_threads_sleep_beside_a_busy_neighbour(monkeypatch, busy, policy):
 
 
 @pytest.mark.parametrize("name", neighbours.CHOSEN)
-def test_what_was_chosen_stays(monkeypatch, name):
+def test_a_setting_of_the_user_is_kept(monkeypatch, name):
     monkeypatch.setattr(neighbours, "busy_cpus", lambda: 2.0)
     monkeypatch.setenv(name, "ACTIVE")
     wait_considerately()
@@ -44,7 +44,7 @@ def test_time_is_counted_on_our_own_cpus_without_waiting(monkeypatch, tmp_path):
     assert busy_cpus(0.01) == 0.0
 
 
-def test_a_process_that_works_is_seen():
+def test_a_busy_process_is_detected():
     """Whatever else runs: one that is always ready to run keeps a CPU busy, or waits for others that do."""
     process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:

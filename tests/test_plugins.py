@@ -1,4 +1,4 @@
-"""Modules of users: the guides in docs/extend.md are followed as they are written, and bad modules are refused."""
+"""Modules of users: the guides in docs/extend.md work as written, and bad modules are refused."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""The single simulated robot: the same physics, senses and rules as the training environment, without torch."""
+"""The single simulated robot: the physics, sensors and terminations of training, without torch."""
 
 import dataclasses
 import math
@@ -90,7 +90,7 @@ def test_a_push_is_felt_in_the_base_frame():
     np.testing.assert_allclose(robot.sensors().base_lin_vel_b, [0.0, -1.0, 0.0], atol=1e-12)
 
 
-def test_limp_legs_end_in_a_crash_and_a_reset_forgets_it():
+def test_a_robot_without_torque_crashes_and_a_reset_clears_the_crash():
     robot = SimulatedRobot(CONFIG, FLAT)
     for _ in range(100):
         robot.step(FOLDED)

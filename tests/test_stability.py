@@ -1,4 +1,4 @@
-"""The comparisons of trainings: what differs, what is trained and measured again, and what is reported."""
+"""The benchmarks `stability` and `time_window`: their variants, what they reuse, and their reports."""
 
 import json
 import runpy
@@ -35,7 +35,7 @@ def test_explained_variance_by_hand():
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
-def test_each_variant_takes_back_one_change_and_the_last_takes_back_all(preset):
+def test_each_variant_undoes_one_change_and_the_last_undoes_all(preset):
     config = get_preset(preset)
     variants = stability.variants(preset).values()
     ours, half, long, bootstrapped, everything = (override(config, variant.settings) for variant in variants)
@@ -62,7 +62,7 @@ class TestTraining:
         monkeypatch.setattr(trainings, "load_policy", lambda folder: folder)
         return trainings.Training(tmp_path / "run", "gap=0.2", 3, 5e6, "robust", ("ppo.gamma=0.9",), 1)
 
-    def test_a_new_one_is_begun_with_its_settings(self, training):
+    def test_a_new_training_starts_with_its_settings(self, training):
         training.finish()
         (words,) = self.calls
         assert words[:4] == ("train", "gap", "--samples", "5000000")
@@ -70,7 +70,9 @@ class TestTraining:
         assert {"--seed", "3", "--preset", "robust", "--out"} <= set(words)
 
     @pytest.mark.parametrize(("samples", "goes_on"), [(1_000_000, True), (5_010_000, False)])
-    def test_one_that_was_cut_off_goes_on_and_a_finished_one_does_not(self, training, monkeypatch, samples, goes_on):
+    def test_an_interrupted_training_is_continued_and_a_finished_one_is_not(
+        self, training, monkeypatch, samples, goes_on
+    ):
         training.folder.mkdir()
         (training.folder / "checkpoint.pt").touch()
         monkeypatch.setattr(trainings, "read_progress", lambda folder: RunProgress(1, samples, 1.0))
@@ -80,7 +82,7 @@ class TestTraining:
             assert self.calls[0][-2:] == ("--resume", str(training.folder))
             assert "--set" not in self.calls[0]
 
-    def test_what_was_measured_of_this_policy_is_read_again(self, training):
+    def test_an_existing_measurement_of_the_policy_is_reused(self, training):
         training.folder.mkdir()
         known = {"ground": "gap=0.2", "episodes": 9, "samples": 7, "success": 0.5}
         (training.folder / "measured.json").write_text(json.dumps(known))

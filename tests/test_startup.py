@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment: one line, no traceback, and what was saved stays."""
+"""Ctrl-C at any moment prints one line and no traceback, and keeps what was saved."""
 
 import os
 import signal
@@ -95,7 +95,7 @@ def test_a_second_ctrl_c_is_one_line_too(tmp_path):
     load_checkpoint(tmp_path / "run" / "checkpoint.pt")
 
 
-def test_only_what_startup_has_set_is_set_back():
+def test_only_the_handler_of_startup_is_replaced():
     def mine(number, frame):
         raise AssertionError
 

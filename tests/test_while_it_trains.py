@@ -1,4 +1,4 @@
-"""What one can do beside a training: watch it, film it, send its curves elsewhere, begin from another's settings."""
+"""Options of a training: watch it, film it, send its metrics to wandb, start from another run's configuration."""
 
 import shutil
 import sys
@@ -73,7 +73,7 @@ class FakeWandb:
         self.scalars.append((step, scalars))
 
 
-def test_wandb_gets_the_figures_of_the_log_and_the_configuration(tmp_path, capsys, monkeypatch):
+def test_wandb_gets_the_metrics_of_the_log_and_the_configuration(tmp_path, capsys, monkeypatch):
     fake = FakeWandb()
     monkeypatch.setattr(wandb_log_writer, "wandb", fake)
     monkeypatch.setattr(logs, "has_wandb", lambda: True)
@@ -118,7 +118,7 @@ def test_films_are_made_every_few_minutes_and_never_two_at_once(tmp_path, monkey
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
-def test_a_time_between_films_that_is_none_is_refused(tmp_path, capsys, minutes):
+def test_a_wrong_time_between_films_is_refused(tmp_path, capsys, minutes):
     said = refused(capsys, "--out", str(tmp_path / "run"), "--film-minutes", minutes, "--set", *SMALL)
     assert "--film-minutes must be above 0" in said
 
@@ -150,6 +150,6 @@ def test_the_newest_network_takes_over_where_the_robot_is(tmp_path):
     assert playground.skill.policy.meta["golden"] == open_skill("gap").policy.meta["golden"]
 
 
-def test_the_version_is_told(capsys):
+def test_the_version_is_printed(capsys):
     cli.main(["--version"])
     assert capsys.readouterr().out == f"arrive {__version__}\n"

@@ -57,14 +57,14 @@ def log(tmp_path_factory) -> Path:
 
 
 class TestSimulatedDrive:
-    def test_a_locked_joint_gets_the_position_loops_torque_late(self):
+    def test_torque_of_a_locked_joint_follows_the_position_loop_with_a_delay(self):
         """80 N m/rad x 0.3 rad = 24 N m, the friction's share of it less at most; nothing for the first 4 ms."""
         torque = jump(0.3, 40, inertia=1e9)["torque"]
         assert torque[0] < 0.5
         assert torque[1] < 12.0
         np.testing.assert_allclose(torque[10:], 24.0, atol=DRIVE.coulomb_friction / (1.0 + DRIVE.torque_gain))
 
-    def test_current_and_voltage_limit_it(self):
+    def test_torque_is_limited_by_current_and_voltage(self):
         """A heavy load after a far target: no more than 15 A give, and no faster than the supply allows."""
         path = jump(20.0, 200, inertia=5.0)
         most = DRIVE.gear_ratio * DRIVE.torque_constant * DRIVE.current_limit
@@ -80,7 +80,7 @@ class TestSimulatedDrive:
         velocity = simulate(drive, np.zeros((steps, 1)), load(0.2, steps, push), PERIOD)["velocity"]
         assert slowest < np.abs(velocity[-20:]).mean() < fastest
 
-    def test_a_finer_step_gives_the_same(self, monkeypatch):
+    def test_a_shorter_step_gives_the_same_result(self, monkeypatch):
         coarse = jump(0.5, 80, inertia=0.1)
         monkeypatch.setattr(series_elastic, "FINE_STEP_S", series_elastic.FINE_STEP_S / 4)
         fine = jump(0.5, 80, inertia=0.1)
@@ -123,7 +123,7 @@ class TestLogs:
             for name in COLUMNS[1:]:
                 np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
-    def test_takes_every_so_many_samples_of_a_faster_log(self, tmp_path):
+    def test_a_faster_log_is_subsampled(self, tmp_path):
         path = write_csv(tmp_path / "log.csv", good_rows(21))
         (trajectory,) = read_logs([path], 4 * PERIOD)
         np.testing.assert_allclose(trajectory.torque, 0.8 * np.arange(0, 21, 4))
@@ -203,7 +203,7 @@ class TestFit:
         assert network.error_nm == pytest.approx(np.sqrt(np.mean(off**2)))
         assert network.data == "test"
 
-    def test_a_seed_is_a_network_and_held_out_torque_has_no_part_in_it(self, log):
+    def test_the_same_seed_gives_the_same_network_whatever_the_held_out_torque(self, log):
         config = replace(self.CONFIG, architecture="lstm", units=(3,), epochs=2)
         trajectories = read_logs([log], PERIOD)
         held_out = {each.name for each in split_trajectories(trajectories).test}
@@ -228,7 +228,7 @@ class TestFit:
         with pytest.raises(ArriveError, match=r"too short: each part needs 1 s in one piece, and one has 0\.5 s"):
             split_trajectories([Trajectory("one", PERIOD, *[ramp[:500]] * 4)])
 
-    def test_a_torque_that_never_acts_is_refused(self):
+    def test_a_torque_that_is_always_zero_is_refused(self):
         still = [Trajectory(str(i), PERIOD, *np.ones((3, 400)), np.zeros(400)) for i in range(5)]
         with pytest.raises(ArriveError, match="is zero throughout the logs"):
             fit_network(still, self.CONFIG)
@@ -249,11 +249,11 @@ class TestResponses:
 
         return law
 
-    def test_a_pd_law_answers_at_once(self):
+    def test_a_pd_law_has_no_delay(self):
         np.testing.assert_allclose(locked_step(self.PD, MOTOR, 0.3, 0.05)[1], 24.0)
         np.testing.assert_allclose(frequency_response(self.PD, np.array([0.7, 9.0, 40.0]), 0.1), 80.0, atol=1e-6)
 
-    def test_a_delay_of_two_periods_is_a_phase(self):
+    def test_a_delay_of_two_periods_shows_as_a_phase(self):
         frequencies = np.array([1.0, 7.3, 20.0])
         answer = frequency_response(DriveModel("late", self.late, PERIOD, "none"), frequencies, 0.1)
         np.testing.assert_allclose(answer, 80.0 * np.exp(-2j * np.pi * frequencies * 2 * PERIOD), atol=1e-6)

@@ -1,4 +1,4 @@
-"""Actuator networks: the torque they give, and the files they live in."""
+"""Actuator networks: their torque, and their files."""
 
 import json
 from collections.abc import Callable
@@ -39,7 +39,7 @@ MODULES: dict[str, Callable[[], tuple[nn.Module, dict]]] = {
 
 
 @pytest.mark.parametrize("kind", MODULES)
-def test_all_joints_in_numpy_are_each_joint_in_torch(kind):
+def test_numpy_gives_the_same_torque_as_torch_for_every_joint(kind):
     torch.manual_seed(0)
     module, changes = MODULES[kind]()
     network = from_module(module, "lstm" if isinstance(module, LstmModule) else "taps", **changes)
@@ -69,7 +69,7 @@ def test_the_published_lstm_reproduces_its_reference_torques(tmp_path):
 
 class TestFile:
     @pytest.mark.parametrize("make", [lstm, taps])
-    def test_comes_back_as_it_was(self, make, tmp_path):
+    def test_a_saved_file_is_read_back_unchanged(self, make, tmp_path):
         path = tmp_path / "new" / "drive.safetensors"
         network = make(data="a test", error_nm=1.25)
         write_network(path, network)
@@ -141,7 +141,7 @@ class TestFile:
         with pytest.raises(ArriveError, match="no safetensors file, or a damaged one"):
             read_network(path)
 
-    def test_what_is_none_is_refused(self, tmp_path):
+    def test_files_of_another_kind_are_refused(self, tmp_path):
         with pytest.raises(ArriveError, match="no such file; `arrive actuator fit` makes one"):
             read_network(tmp_path / "nothing.safetensors")
         save_file({"a": np.zeros(2, np.float32)}, tmp_path / "other.safetensors", {"author": "somebody"})

@@ -1,4 +1,4 @@
-"""The bench of the control step: what it measures, in what process, and what it refuses."""
+"""`arrive bench --deployment`: what it measures, and which options it refuses."""
 
 import pytest
 
@@ -28,7 +28,7 @@ def test_both_policies_are_measured(result, capsys):
     assert "200 steps" in printed
 
 
-def test_targets_decide_what_is_met(monkeypatch):
+def test_a_result_is_met_if_it_is_within_its_target(monkeypatch):
     monkeypatch.setattr("arrive.bench.deployment.TARGETS", {"median": 1e-6, "p99": 1e3, "resident": 1e6})
     assert not bench_deployment(hidden=(8,), steps=5)["policies"][0]["met"]
     monkeypatch.setattr("arrive.bench.deployment.TARGETS", {"median": 1e3, "p99": 1e3, "resident": 1e6})
@@ -48,7 +48,7 @@ def test_every_input_changes_and_the_policy_acts_on_all_of_them(exported):
     assert all(len(set(column)) == 100 for column in zip(*seen, strict=True))
 
 
-def test_what_cannot_be_measured_is_said(tmp_path):
+def test_options_that_cannot_be_measured_are_refused_with_a_reason(tmp_path):
     with pytest.raises(ArriveError, match="at least 1"):
         bench_deployment(steps=0)
     with pytest.raises(ArriveError, match=r"ppo\.hidden"):

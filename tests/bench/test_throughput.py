@@ -1,4 +1,4 @@
-"""`arrive bench`: every rate is there, measured by the clock, and the raw engine does the environment's own work."""
+"""`arrive bench`: all rates, measured by wall time, with the environment's own states in the raw engine."""
 
 import json
 
@@ -33,7 +33,7 @@ def test_the_raw_engine_makes_the_same_step_as_the_environment():
             assert np.array_equal(engine.state(name), expected[name].numpy())
 
 
-def test_rates_are_samples_over_the_time_on_the_clock(monkeypatch):
+def test_rates_are_samples_per_wall_time(monkeypatch):
     ticks = iter(range(100_000))
     monkeypatch.setattr(throughput.time, "perf_counter", lambda: float(next(ticks)))
     result = bench_throughput(SMALL, threads=1, rounds=3)
@@ -45,7 +45,7 @@ def test_rates_are_samples_over_the_time_on_the_clock(monkeypatch):
     assert sum(result["share"].values()) == pytest.approx(1.0)
 
 
-def test_what_a_neighbour_slows_down_is_never_negative():
+def test_a_time_difference_is_never_negative_beside_a_busy_process():
     """Every measurement in turn is the one that another process has slowed down."""
     for slow in RATES:
         share = throughput._shares({name: 1.0 if name == slow else 100.0 for name in RATES})
@@ -53,7 +53,7 @@ def test_what_a_neighbour_slows_down_is_never_negative():
         assert sum(share.values()) == pytest.approx(1.0)
 
 
-def test_the_command_writes_what_it_promises(tmp_path, capsys):
+def test_the_command_writes_all_results(tmp_path, capsys):
     path = tmp_path / "new" / "bench.json"
     settings = ("terrain.variants=1", "ppo.num_steps=4", "ppo.hidden=[16]")
     main(
@@ -76,7 +76,7 @@ def test_the_command_writes_what_it_promises(tmp_path, capsys):
         (("--start-from", "nowhere"), "there is no file"),
     ],
 )
-def test_what_cannot_be_measured_is_said(arguments, message, capsys):
+def test_options_that_cannot_be_measured_are_refused_with_a_reason(arguments, message, capsys):
     with pytest.raises(SystemExit):
         main(["bench", *arguments, "--num-envs", "8", "--threads", "1"])
     assert message in capsys.readouterr().err

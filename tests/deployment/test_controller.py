@@ -1,4 +1,4 @@
-"""The controller: the same actions as in training, and nothing unsafe whatever it is told."""
+"""The controller: the same actions as in training, and no unsafe command for any input."""
 
 import json
 import math
@@ -36,7 +36,7 @@ from controllers import AHEAD, DT, an_env, assert_safe, flat, sensors_of, standi
 # The same as in training.
 
 
-def test_exported_actions_are_the_training_policys(run, exported):
+def test_the_exported_file_gives_the_actions_of_the_training_policy(run, exported):
     policy, file = load_policy(run), read_policy_file(exported)
     env = an_env("pit")
     observation, recorded = env.get_observations()[POLICY], []
@@ -52,7 +52,7 @@ def test_exported_actions_are_the_training_policys(run, exported):
 
 
 @pytest.mark.parametrize("family", ["flat", "pit"])
-def test_controller_sees_and_does_what_the_environment_does(family, run, exported):
+def test_the_controller_has_the_observations_and_targets_of_the_environment(family, run, exported):
     env, policy = an_env(family), load_policy(run)
     controllers = [Controller.load(exported) for _ in range(env.num_envs)]
     observation, compared = env.get_observations()[POLICY], 0
@@ -298,7 +298,7 @@ def test_a_spike_is_forgotten_within_the_stated_time(exported, goal, recover_s, 
     assert 0.4 * count < refused < count
 
 
-def test_after_a_spike_the_policy_is_told_the_pose_that_was_held(controller, monkeypatch):
+def test_after_a_spike_the_policy_observes_the_held_pose_as_its_last_action(controller, monkeypatch):
     """Without that, an action once implausible stays so, and the robot in the safe stance."""
     observe, seen = Controller.observe, []
 
@@ -319,7 +319,7 @@ def test_after_a_spike_the_policy_is_told_the_pose_that_was_held(controller, mon
     np.testing.assert_allclose(seen[-1], (controller._held - trot.default) / 0.5, atol=0.03)
 
 
-def test_a_stop_is_not_anchored_where_a_spike_was(controller):
+def test_a_stop_does_not_hold_the_position_of_a_spike(controller):
     trot = Trot(controller)
     act_on(controller, trot.at(0), AHEAD)
     act_on(controller, trot.at(1) | {"base_pos_w": np.array([900.0, 0.0, 0.55])}, Joystick(0.0, 0.0))
@@ -342,7 +342,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize(("changes", "mode", "reason"), IMPOSSIBLE.values(), ids=IMPOSSIBLE)
-def test_what_cannot_be_is_refused_and_the_way_back_is_half_a_second(controller, changes, mode, reason):
+def test_impossible_measurements_are_refused_and_recovery_takes_half_a_second(controller, changes, mode, reason):
     for i in range(10):
         command = step(controller, i * DT, **changes)
         assert command.mode == mode
@@ -371,7 +371,7 @@ def test_a_clock_that_counts_milliseconds_is_noticed(controller):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 0.0, None, "1", True])
-def test_a_safety_that_is_no_limit_is_refused(value):
+def test_a_recovery_time_that_is_not_positive_is_refused(value):
     with pytest.raises(ArriveError, match=r"Safety\.recover_s must be a finite number above 0"):
         Safety(recover_s=value)
 
@@ -470,13 +470,13 @@ def test_objects_that_raise_mean_the_safe_stance(controller):
         (lambda s, g, t: (s, g, GridHeights(0.0, np.zeros(187))), "heights_w is of shape (), not 1 dimension"),
     ],
 )
-def test_swapped_arguments_are_said(controller, arguments, reason):
+def test_swapped_arguments_are_reported(controller, arguments, reason):
     command = controller.step(*arguments(standing(controller, 0.0), AHEAD, flat(0.0)), 0.0)
     assert command.mode == "safe"
     assert reason in command.reason
 
 
-def test_the_table_of_terms_is_that_of_training(controller):
+def test_the_controller_has_the_observation_terms_of_training(controller):
     schema = an_env("flat").observer.schema()
     assert [row["name"] for row in schema] == list(COMPUTED)
     for row, known in zip(schema, COMPUTED.values(), strict=True):

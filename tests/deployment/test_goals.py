@@ -1,4 +1,4 @@
-"""Goals: the target and the time that the policy is told."""
+"""Goals: the target and the time left that the policy observes."""
 
 import dataclasses
 import math

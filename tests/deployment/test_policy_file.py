@@ -1,4 +1,4 @@
-"""Exported files: they say what they are, and a damaged or foreign one is refused in one line."""
+"""Exported files describe themselves, and damaged or foreign files are refused in one line."""
 
 import dataclasses
 import json
@@ -78,7 +78,7 @@ def test_exported_file_explains_itself(exported, capsys):
     assert "16 golden pairs reproduced" in capsys.readouterr().out
 
 
-def test_evaluation_summary_travels_along(run, tmp_path):
+def test_the_exported_file_has_the_evaluation(run, tmp_path):
     summary = small_results.difficulty()
     (tmp_path / "difficulty.json").write_text(json.dumps(summary))
     del summary["policy"]
@@ -234,7 +234,7 @@ GOLDEN = ("observations", "actions")
 
 
 @pytest.mark.parametrize(("change", "message"), HOSTILE.values(), ids=HOSTILE)
-def test_values_that_cannot_be_are_refused_though_the_checksum_agrees(small, tmp_path, change, message):
+def test_implausible_values_are_refused_even_with_a_valid_checksum(small, tmp_path, change, message):
     with pytest.raises(ArriveError, match=message):
         Controller.load(changed(small, tmp_path, change, sealed=True))
 
@@ -325,7 +325,7 @@ def test_networks_that_no_export_writes_are_refused(small, tmp_path, change, mes
             read(path)
 
 
-def test_random_bytes_under_a_good_checksum_are_refused_in_one_line(small, tmp_path):
+def test_random_bytes_with_a_valid_checksum_are_refused_in_one_line(small, tmp_path):
     """500 damages that someone has sealed again: one line says what is wrong, or the policy still runs."""
     body, rng, messages = small.read_bytes()[:-SEAL_SIZE], np.random.default_rng(5), []
     for _ in range(500):
@@ -350,13 +350,13 @@ def refusal(path) -> str:
     return ""
 
 
-def test_a_file_of_the_format_before_says_so(exported, tmp_path):
+def test_a_file_of_the_previous_format_is_refused_with_the_reason(exported, tmp_path):
     (tmp_path / "old.onnx").write_bytes(exported.read_bytes()[:-SEAL_SIZE])
     with pytest.raises(ArriveError, match="truncated, or of another version of arrive"):
         read_policy_file(tmp_path / "old.onnx")
 
 
-def test_export_leaves_the_file_before_where_it_fails(run, tmp_path, monkeypatch):
+def test_a_failed_export_keeps_the_existing_file(run, tmp_path, monkeypatch):
     out = tmp_path / "policy.onnx"
     out.write_bytes(b"before")
 

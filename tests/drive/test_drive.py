@@ -1,4 +1,4 @@
-"""Driving: files and gamepads as sticks, what a drive does and counts, and the command."""
+"""`arrive drive`: scripts and gamepads, the drive and its statistics, and the command."""
 
 import ctypes
 import math
@@ -154,7 +154,7 @@ def test_a_gamepad_is_read(headless):
         gamepad.close()
 
 
-def test_without_a_gamepad_it_says_what_there_is(headless, monkeypatch):
+def test_without_a_gamepad_the_error_lists_the_devices(headless, monkeypatch):
     with pytest.raises(ArriveError, match=r"no game controller was found.*--script"):
         Gamepad()
     Virtual(kind=0)
@@ -238,7 +238,7 @@ class Clock:
 
 
 @pytest.mark.parametrize(("step_s", "late_s"), [(0.005, 0.0), (0.02, 0.0), (0.05, 100 * 0.03 - LARGEST_DELAY_S)])
-def test_real_time_is_kept_or_what_is_lost_is_said(step_s, late_s, policy):
+def test_a_drive_runs_in_real_time_or_reports_the_lost_time(step_s, late_s, policy):
     clock = Clock(step_s)
     statistics = run(a_drive(policy), clock, 2.0, nothing, True, clock.read, clock.sleep)
     assert clock.now_s == pytest.approx(max(2.0, 100 * step_s), abs=0.021)
@@ -246,7 +246,7 @@ def test_real_time_is_kept_or_what_is_lost_is_said(step_s, late_s, policy):
     assert ("too slow" in summarise(statistics)) == (late_s > 0.0)
 
 
-def test_ctrl_c_ends_a_drive_with_its_tally(policy):
+def test_ctrl_c_ends_a_drive_with_its_summary(policy):
     def interrupt(sample, statistics):
         if sample.time_s > 0.51:
             raise KeyboardInterrupt
@@ -286,7 +286,7 @@ def test_drive_by_a_file(tmp_path, capsys):
         ([], "no gamepad"),
     ],
 )
-def test_what_cannot_be_driven_is_one_line(arguments, part, capsys, headless):
+def test_a_drive_that_cannot_start_is_an_error_of_one_line(arguments, part, capsys, headless):
     with pytest.raises(SystemExit) as ended:
         cli.main(["drive", *arguments])
     assert ended.value.code == 1

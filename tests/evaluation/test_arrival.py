@@ -1,4 +1,4 @@
-"""Evaluation: every episode counted once, on the terrain it is meant for, and repeatable."""
+"""Evaluation: every episode counts once, on its terrain, and is repeatable."""
 
 import dataclasses
 import math
@@ -54,7 +54,7 @@ def figures(answer: Arrival) -> list[tuple]:
     return [(r.cell.caption, r.episodes, r.arrived, r.median_distance, r.failures) for r in answer.results]
 
 
-def test_cells_are_every_level_of_every_family_with_its_parameter():
+def test_there_is_a_cell_for_every_level_of_every_family():
     pit = get_family("pit")
     cells = cells_of(CONFIG, [get_family("flat"), pit], None)
     middle = (pit.lowest + pit.highest) / 2
@@ -89,7 +89,7 @@ def test_arrivals_and_failures_add_up_in_every_cell():
         assert result.interval[0] <= result.success <= result.interval[1]
 
 
-def test_everybody_arrives_where_everywhere_is_near_enough_and_nobody_where_nothing_is():
+def test_all_robots_arrive_with_a_huge_arrival_radius_and_none_with_a_tiny_one():
     near = measure(override(CONFIG, ("task.arrival_radius=50",)), ["flat"], episodes=20).results[0]
     assert near.arrived + near.failures.get("crash", 0) == 20
     assert near.arrived >= 15
@@ -111,7 +111,7 @@ def test_a_policy_that_falls_over_crashes():
     assert result.failures.get("crash", 0) >= 5
 
 
-def test_one_seed_gives_one_answer_at_any_number_of_threads():
+def test_the_same_seed_gives_the_same_result_at_any_number_of_threads():
     policy = standing(CONFIG)
     first = measure(policy=policy, threads=1)
     assert figures(measure(policy=policy, threads=1)) == figures(first)

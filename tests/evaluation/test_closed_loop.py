@@ -1,4 +1,4 @@
-"""The controller in the network's place: it is told the same, and arrives as often."""
+"""The comparison of controller and network: equal observations and equal success rates."""
 
 from dataclasses import replace
 
@@ -92,7 +92,7 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
     assert inside.float().mean() > 0.5
 
 
-def test_controllers_tell_the_time_that_is_left_down_to_half_a_second(policy, file, monkeypatch):
+def test_controllers_observe_at_least_half_a_second_of_time_left(policy, file, monkeypatch):
     config = override(policy.config, ("num_envs=1", "terrain.variants=1"))
     env = build_env(config, Placement(assignment=(torch.zeros(1).long(), torch.zeros(1).long())), threads=1)
     robots, told = ControlledRobots(env, file), []
@@ -112,7 +112,7 @@ def test_controllers_tell_the_time_that_is_left_down_to_half_a_second(policy, fi
 
 
 @pytest.mark.parametrize("family", ["flat", "rough"])
-def test_but_for_its_limits_the_controller_moves_the_robot_as_the_network_does(family, policy, file, monkeypatch):
+def test_within_its_limits_the_controller_moves_the_robot_as_the_network_does(family, policy, file, monkeypatch):
     """Without noise, torque limits and hold: until contacts have blown up the rounding of float32, the same motion."""
     monkeypatch.setattr("arrive.deployment.safety.Limits.within_torque", lambda limits, targets, pos, vel: targets)
     unheld = replace(file, task=replace(file.task, reward_window_s=0.0))
@@ -138,7 +138,7 @@ def test_the_controller_arrives_as_often_as_the_network(policy, file):
     assert f"network {row.network.success:.1%}" in comparison_summary(row)
 
 
-def test_only_a_policys_own_export_is_compared(policy, file):
+def test_a_controller_of_another_policy_is_not_compared(policy, file):
     with pytest.raises(ArriveError, match="not the export"):
         check_pair(load_policy(RUN.parent / "gap"), file)
     velocity = replace(file, task=replace(file.task, name="velocity"))

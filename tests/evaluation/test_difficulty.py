@@ -61,7 +61,7 @@ def velocity_task(n: int = 1, trial=None) -> VelocityTask:
 
 
 class TestContinuous:
-    def test_pays_at_every_step_what_final_pays_at_the_end(self):
+    def test_the_task_reward_is_paid_at_every_step(self):
         config = configured("continuous")
         env = build_env(config, Placement(assignment=(torch.zeros(1).long(), torch.zeros(1).long())), threads=1)
         task, state = env.task, env.state
@@ -74,19 +74,19 @@ class TestContinuous:
         assert paid == 300
         assert earned == pytest.approx(1.0, abs=1e-5)
 
-    def test_differs_from_final_in_nothing_else(self):
+    def test_all_other_fields_are_those_of_final(self):
         ours, theirs = configured("continuous").task, configured("final").task
         assert ours.reward_window_s == ours.episode_s
         for field in fields(theirs):
             assert field.name in ("name", "reward_window_s") or getattr(ours, field.name) == getattr(theirs, field.name)
 
-    def test_has_no_window_to_set(self):
+    def test_the_reward_window_cannot_be_set(self):
         with pytest.raises(ArriveError, match="no 'reward_window_s'"):
             override(configured("continuous"), ("task.reward_window_s=1",))
 
 
 class TestVelocity:
-    def test_keeps_the_costs_of_motion_and_has_the_episode_of_its_source(self):
+    def test_the_costs_are_the_presets_and_the_episode_is_that_of_legged_gym(self):
         task = configured("velocity").task
         both = functions(task.rewards).keys() & functions(PAPER_REWARDS).keys()
         assert {"joint_acc_cost", "torque_cost", "collision_cost", "action_rate_cost", "foot_acc_cost"} < both
@@ -108,7 +108,7 @@ class TestVelocity:
         assert float(track_speed(state, task.command, width=0.25)) == pytest.approx(math.exp(-1.0))
         assert float(bound("track_yaw_rate", VelocityConfig())(state, task.command)) == pytest.approx(math.exp(-1.0))
 
-    def test_the_yaw_rate_takes_the_short_way_and_is_limited(self):
+    def test_the_yaw_rate_turns_the_short_way_and_is_limited(self):
         task = velocity_task()
         task.command.heading[:] = 1.5 * math.pi
         assert float(yaw_rate(a_state(), task.command, *TURNING)) == pytest.approx(-math.pi / 4)
@@ -152,7 +152,7 @@ class TestVelocity:
         outcome = task.judge(a_state(base_pos_w=torch.tensor([[0.0, walked, 0.5]])), none, none)
         assert (bool(outcome.promote), bool(outcome.demote)) == (promoted, demoted)
 
-    def test_the_end_of_the_tile_is_the_end_of_time(self):
+    def test_a_robot_at_the_end_of_the_tile_gets_a_time_out(self):
         task = velocity_task()
         task.follow(a_state(base_pos_w=torch.tensor([[0.0, 5.9, 0.5]])))
         assert not task.advance(DT)
@@ -214,17 +214,17 @@ class TestProtocol:
         assert played("final", near_target(0.0), "pit", 0.5).target_w[0].tolist() == pytest.approx([5.0, 0.0, 1.0])
 
     @pytest.mark.parametrize(("distance", "success"), [(0.49, True), (0.51, False)])
-    def test_half_a_metre_decides(self, distance, success):
+    def test_success_is_being_within_half_a_metre(self, distance, success):
         result = played("final", near_target(distance))
         assert bool(result.success) == success
         assert float(result.distance) == pytest.approx(distance, abs=1e-5)
 
-    def test_a_crash_in_the_last_step_fails_a_robot_sent_to_a_place(self):
+    def test_a_crash_in_the_last_step_is_a_failure_in_position_tasks(self):
         result = played("final", near_target(0.0), crash=400)
         assert not bool(result.success)
         assert result.cause == ["crash"]
 
-    def test_a_crash_after_four_metres_counts_for_velocity_and_before_does_not(self):
+    def test_a_velocity_trial_succeeds_if_the_robot_crashes_after_four_metres(self):
         assert bool(played("velocity", forward(0.8), crash=300).success)
         early = played("velocity", forward(0.8), crash=200)
         assert not bool(early.success)
@@ -248,7 +248,7 @@ class TestProtocol:
         around = played("final", lambda t, task: [min(0.6 * t, 4.25), min(0.2 * t, 1.25), 0.6], "obstacles", 0.2)
         assert around.cause == ["stalled"]
 
-    def test_v_is_told_one_metre_per_second_forward(self):
+    def test_the_velocity_trial_commands_one_metre_per_second_forward(self):
         task = velocity_task(3, difficulty.TRIAL)
         assert task.command.speed.tolist() == [1.0] * 3
         assert task.episode_s == 8.0
@@ -267,11 +267,11 @@ class TestMaximum:
         ("arrived", "at_95", "at_80"),
         [((100, 95, 94), 0.2, 0.3), ((94, 100, 100), None, 0.3), ((100, 79, 100), 0.1, 0.1), ((0, 0, 0), None, None)],
     )
-    def test_every_level_up_to_it_is_solved(self, arrived, at_95, at_80):
+    def test_all_levels_below_the_maximum_are_solved_too(self, arrived, at_95, at_80):
         assert difficulty.max_at(results(*arrived), 0.95) == pytest.approx(at_95)
         assert difficulty.max_at(results(*arrived), 0.80) == pytest.approx(at_80)
 
-    def test_a_rate_is_said_with_its_interval(self):
+    def test_a_success_rate_is_printed_with_its_interval(self):
         (result,) = results(979, episodes=1000)
         assert result.rate == "97.9% of 1000 (96.8% to 98.6%)"
 
@@ -285,7 +285,7 @@ class TestMaximum:
             assert values[-1] > row["final"]
             assert values[-1] <= FAMILIES[family].highest + 1e-9
 
-    def test_a_sentence_says_where_and_how(self):
+    def test_the_summary_says_how_far_and_why_not_further(self):
         sentence = why_stuck(results(99, 63, 0, fell=30, crash=7))
         assert (
             sentence == "gap: at least 95% up to 0.1 m; at 0.2 m 63.0% succeed, 30.0% fell into the hole, 7.0% crashed"
@@ -335,7 +335,7 @@ class TestMeasurement:
         first = measured(runs / "final")
         assert json.dumps(first) == json.dumps(measured(runs / "final", threads=2))
 
-    def test_has_the_agreed_form(self, runs):
+    def test_the_result_has_the_documented_keys(self, runs):
         content = json.loads(json.dumps(measured(runs / "velocity")))
         assert set(content) == {"families", "policy", "protocol", "commit"}
         gap = content["families"]["gap"]
@@ -347,7 +347,7 @@ class TestMeasurement:
             assert level["interval"][0] <= level["success"] <= level["interval"][1]
             assert sum(level["failures"].values()) == level["episodes"] - round(level["success"] * level["episodes"])
 
-    def test_seeds_differ_and_agree(self, runs):
+    def test_seeds_give_different_results_with_overlapping_intervals(self, runs):
         first, second = (measured(runs / "final", seed=seed, episodes=12, levels=1) for seed in (1, 2))
         assert first != second
         (low, high), (other_low, other_high) = (c["families"]["gap"]["levels"][0]["interval"] for c in (first, second))
@@ -377,7 +377,7 @@ def page(runs):
 
 
 class TestReport:
-    def test_needs_nothing_from_elsewhere(self, page):
+    def test_the_page_loads_nothing_from_elsewhere(self, page):
         text = page.read_text()
         assert "http" not in text
         assert "<script" not in text
@@ -394,7 +394,7 @@ class TestReport:
         assert {entry["task"] for entry in gap["ours"]} == {"final", "velocity"}
         assert [entry["episodes"] for entry in gap["ours"]] == [8, 8]
 
-    def test_says_how_every_run_was_made(self, page):
+    def test_every_run_is_listed_with_its_command(self, page):
         content = json.loads(page.with_suffix(".json").read_text())
         assert [run["name"] for run in content["runs"]] == list(TASKS)
         assert content["runs"][0]["eval_command"].startswith("arrive eval --protocol difficulty final --terrain gap")
@@ -406,7 +406,7 @@ class TestReport:
         assert "not a run folder" in capsys.readouterr().err
 
 
-def test_a_chart_tells_seven_runs_of_one_task_apart():
+def test_seven_runs_of_one_task_have_different_colours():
     """As many as the shipped policies: a generalist and a specialist for each of six terrains."""
     log = {"progress/samples": [1e6, 2e6], "arrival/all": [0.1, 0.2]}
     record = {"config": {"task": {"name": "final"}}}
@@ -415,7 +415,7 @@ def test_a_chart_tells_seven_runs_of_one_task_apart():
     assert len(set(lines)) >= 7
 
 
-def test_a_retired_robot_neither_moves_nor_ends_again():
+def test_an_inactive_robot_neither_moves_nor_ends_again():
     """Its contacts are those of its last step, for instance a crash, which must not count in every later one."""
     two = torch.zeros(2, dtype=torch.long)
     env = build_env(configured("final", num_envs=2), Placement(assignment=(two, two)), threads=1)

@@ -1,4 +1,4 @@
-"""Energy per metre: sums by hand for scripted motors, and robots that get to the end, fall or stand."""
+"""Energy per metre: sums of scripted motors, and robots that arrive, fall or stand."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -58,7 +58,7 @@ class Treadmill:
         return SimpleNamespace(joint_torque=torque, joint_vel=speed, finite=torch.tensor([True, True]))
 
 
-def test_every_physics_step_counts():
+def test_energy_is_summed_over_every_physics_step():
     """Four steps of 5 ms: torques stay, speeds are 1, 2, 3 and 4 times the first ones."""
     engine = Treadmill()
     physics = MeteredPhysics(engine, 4, 0.005)
@@ -69,7 +69,7 @@ def test_every_physics_step_counts():
     assert physics.absolute_work.tolist() == pytest.approx([8.0 * 10 * 0.005, 1.0 * 10 * 0.005])
 
 
-def test_who_has_ended_spends_no_more():
+def test_a_robot_whose_walk_has_ended_spends_no_more_energy():
     physics = MeteredPhysics(Treadmill(), 1, 0.01)
     physics.step(torch.zeros(2, 2))
     physics.deactivate(torch.tensor([0]))
@@ -112,20 +112,20 @@ def walks():
 
 
 class TestWalk:
-    def test_each_ends_in_its_own_way(self, walks):
+    def test_robots_end_at_the_distance_by_falling_or_by_standing(self, walks):
         assert walks.finished.tolist() == [True, False, False]
         assert walks.fell.tolist() == [False, True, False]
         assert walks.way_m.tolist() == pytest.approx([4.0, 2.48, 0.0], abs=0.03)
         assert walks.time_s.tolist() == pytest.approx([4.0, 2.5, 10.0], abs=0.03)
 
-    def test_the_sums_are_those_by_hand(self, walks):
+    def test_sums_of_energy_equal_a_hand_computation(self, walks):
         assert walks.torque_sq.tolist() == pytest.approx((12 * 4.0 * walks.time_s).tolist(), rel=1e-4)
         assert walks.positive_work.tolist() == pytest.approx((6 * 1.0 * walks.time_s).tolist(), rel=1e-4)
         assert walks.absolute_work.tolist() == pytest.approx((12 * 1.0 * walks.time_s).tolist(), rel=1e-4)
         # ANYmal C weighs 52 kg, give or take the payload of at most 5 kg.
         assert walks.weight.tolist() == pytest.approx([52 * GRAVITY] * 3, abs=6 * GRAVITY)
 
-    def test_a_row_has_them_per_metre_and_counts_who_did_not_get_there(self, walks):
+    def test_a_row_has_costs_per_metre_and_the_numbers_of_falls_and_stops(self, walks):
         figures = row(1.0, walks, torch.tensor([True, True, True]), 4.0)
         assert (figures["robots"], figures["finished"], figures["fell"], figures["stood"]) == (3, 1, 1, 1)
         assert figures["metres"] == pytest.approx(6.48, abs=0.05)
@@ -159,7 +159,7 @@ class TestCommand:
         assert command.offset_w.norm(dim=-1).tolist() == pytest.approx([1.5, 4.5])
         assert command.time_left_s.tolist() == pytest.approx([3.0, 3.0])
 
-    def test_velocity_is_told_its_speed_and_knows_no_sideways(self):
+    def test_the_velocity_task_refuses_sideways_commands(self):
         assert constant_command(a_policy("velocity"), [Heading(0.5), Heading(0.5, 180)], 1).speed.tolist() == [
             0.5,
             -0.5,
@@ -167,13 +167,13 @@ class TestCommand:
         with pytest.raises(ArriveError, match="not towards 90 deg"):
             check_command(a_policy("velocity"), self.HEADINGS)
 
-    def test_another_task_is_refused_in_a_line(self, monkeypatch):
+    def test_a_task_without_constant_commands_is_refused_in_one_line(self, monkeypatch):
         monkeypatch.setattr(walking, "get_task", lambda name: SimpleNamespace)
         with pytest.raises(ArriveError, match="takes no constant command"):
             check_command(a_policy())
 
     @pytest.mark.parametrize("task", ["final", "continuous", "velocity"])
-    def test_it_never_changes_and_never_ends(self, task):
+    def test_a_constant_command_never_changes_and_never_ends(self, task):
         policy = a_policy(task)
         env = walking_env(policy, [Heading(1.0)], 1, 20.0, 1, 1)
         told = []
@@ -189,7 +189,7 @@ class TestCommand:
 
 
 @pytest.mark.parametrize("bad", [((), 10, 10.0), ((0.0,), 10, 10.0), ((1.0,), 1, 10.0), ((1.0,), 10, float("nan"))])
-def test_nothing_to_measure_is_an_error(bad):
+def test_wrong_arguments_of_a_measurement_are_an_error(bad):
     with pytest.raises(ArriveError):
         check_energy_arguments(*bad)
 
@@ -214,7 +214,7 @@ def test_the_figure_has_a_colour_per_policy():
     assert all(color in text for color in ("#d55e00", "#0072b2", "#cc79a7"))
 
 
-def test_a_long_measurement_is_kept(tmp_path):
+def test_a_shorter_measurement_does_not_replace_a_longer_one(tmp_path):
     path = tmp_path / "energy.json"
     write_json(path, a_result(robots=50))
     assert effort_of(a_result(robots=50)) == 3 * 2 * 50 * 10.0

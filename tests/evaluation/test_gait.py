@@ -1,4 +1,4 @@
-"""Gaits by synthetic footfalls of known ones, and the pictures and commands around them."""
+"""Gait analysis of synthetic footfalls, its figure, and the command."""
 
 import numpy as np
 import pytest
@@ -58,12 +58,12 @@ def test_known_gaits_have_their_names_phases_and_duty_factors(name):
     assert falls.spread.max() < 0.05
 
 
-def test_a_foot_may_begin_the_strides():
+def test_strides_may_begin_with_any_foot():
     falls = footfalls(contacts(GAITS["walk"]), DT, reference=3)
     assert falls.phase == pytest.approx(np.array([0.75, 0.5, 0.25, 0.0]), abs=STEP)
 
 
-def test_steps_at_random_times_have_no_name_and_spread():
+def test_random_steps_have_no_gait_name():
     rng = np.random.default_rng(1)
     spans = rng.integers(4, 16, (4, 60))
     stands = np.stack([np.repeat(np.arange(60) % 2 == 0, row)[:300] for row in spans], axis=1)
@@ -72,7 +72,7 @@ def test_steps_at_random_times_have_no_name_and_spread():
     assert falls.spread.max() > 0.15
 
 
-def test_two_pairs_that_are_not_opposed_are_no_trot():
+def test_pairs_that_are_not_in_antiphase_are_not_a_trot():
     assert gait_name(footfalls(contacts((0.0, 0.25, 0.25, 0.0)), DT), CORNERS) == "none"
 
 
@@ -87,7 +87,7 @@ def test_six_feet_step_as_a_tripod():
     assert hildebrand(falls, corners) is None
 
 
-def test_two_feet_are_no_trouble():
+def test_two_feet_have_phases_and_no_gait_name():
     falls = footfalls(contacts((0.0, 0.5)), DT)
     assert falls.phase == pytest.approx(np.array([0.0, 0.5]), abs=STEP)
     assert gait_name(falls, np.array([[0.0, 0.1], [0.0, -0.1]])) == "none"
@@ -100,7 +100,7 @@ def test_hildebrands_axes():
     assert hildebrand(footfalls(contacts(GAITS["trot"]), DT), CORNERS)[1] == pytest.approx(0.5, abs=STEP)
 
 
-def test_a_short_bounce_ends_no_stance():
+def test_a_short_loss_of_contact_does_not_end_a_stance():
     stands = contacts(GAITS["trot"])
     bounced = stands.copy()
     bounced[5], bounced[105:107] = False, False
@@ -144,7 +144,7 @@ def test_a_row_describes_the_robots_that_walk():
     assert np.array(gait["diagram"]["stands"]).shape == (4, 100)
 
 
-def test_nobody_walks():
+def test_a_row_without_walking_robots_has_no_gait():
     still = a_record()
     still.velocity[:] = 0.0
     assert describe_gait(still, CORNERS, DT)["gait"] is None

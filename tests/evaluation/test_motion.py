@@ -1,4 +1,4 @@
-"""How policies move, by scripted robots, and the card that tells of it."""
+"""Measurements of motion with scripted robots, and their place in the card."""
 
 import json
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_a_robot_that_stands_is_at_rest_and_upright():
     assert 3.0 < motion["torque_nm"] < 30.0
 
 
-def test_a_robot_that_shakes_is_seen_to():
+def test_shaking_at_rest_is_measured():
     motion = motion_of(Scripted(0.2, -0.2))
     # From +0.2 to -0.2 actions of 0.5 rad each within 20 ms.
     assert motion["action_rate_rad_s"] == pytest.approx(0.4 * 0.5 / 0.02, rel=0.01)
@@ -98,7 +98,7 @@ def test_limits_are_counted_by_joint():
     assert means["at_torque_limit"] == pytest.approx(2 / 12)
 
 
-def test_legs_that_cross_are_seen():
+def test_crossing_legs_are_measured():
     env = an_env(3)
     joint_pos = torch.tensor(env.robot.default_joint_pos).repeat(3, 1)
     names = list(env.robot.joint_names)

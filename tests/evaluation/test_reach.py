@@ -98,13 +98,13 @@ class TestWaiting:
         assert told[49:] == pytest.approx([0.7] * 100)
         assert bool(task.advance(DT))
 
-    def test_the_policy_is_told_what_a_robots_controller_tells_it(self):
+    def test_the_policy_observes_the_same_time_left_as_from_the_controller(self):
         for window, episode in ((2.0, 8.0), (6.0, 6.0)):
             task = FinalConfig(reward_window_s=window, episode_s=episode, episode_min_s=episode)
             spec = SimpleNamespace(reward_window_s=window, episode_s=episode)
             assert reach.hold_time(task) == goals.hold_time(spec)
 
-    def test_only_who_had_arrived_counts_and_who_left_or_crashed_did_not_stay(self):
+    def test_waiting_counts_robots_that_arrived_and_neither_left_nor_crashed(self):
         """Five robots: stays, leaves, crashes in the wait, comes too late, crashed before."""
         distance = torch.tensor([[0.1, 0.1, 0.1, 0.9, 0.1], [0.1, 0.9, 0.1, 0.1, 0.1]])
         trace = torch.zeros(3, 5, 3)
@@ -146,7 +146,7 @@ class TestMeasurement:
         assert told == sorted(told)
         assert told[-1][0] == told[-1][1]
 
-    def test_a_place_in_the_hole_is_said(self):
+    def test_a_target_in_the_hole_is_reported(self):
         content = reach.measure_reach(
             standing(), [ground_of("gap=0.4")], ReachGrid((1.6, 4.0), (0.0,), (0.1,)), 1, 1, 1
         )
@@ -209,7 +209,7 @@ class TestChoosing:
             (("gap", 3), "level 3 of gap is out of range: levels are 0 to 2"),
         ],
     )
-    def test_what_cannot_be_meant_is_refused(self, arguments, words):
+    def test_options_that_do_not_fit_together_are_refused(self, arguments, words):
         with pytest.raises(ArriveError, match=words):
             choose_cells(CONFIG, *arguments)
 
@@ -275,7 +275,7 @@ def test_the_result_of_an_exported_file_goes_to_a_folder_of_its_name(exported, t
     assert not (tmp_path / "reach.json").exists()
 
 
-def test_one_value_of_the_protocol_is_not_kept_as_its_answer(trained, capsys, monkeypatch, tmp_path):
+def test_a_measurement_of_one_value_does_not_replace_the_whole_protocol(trained, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("arrive.commands.evaluation._write_pictures", lambda *args, **options: None)
     command = ["eval", str(trained), "--protocol", "difficulty", "--episodes", "2", "--threads", "1", "--value", "0.3"]
     monkeypatch.setattr(arrival, "MAX_ENVS", 8)

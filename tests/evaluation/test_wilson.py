@@ -17,7 +17,7 @@ def test_wilson_gives_published_values(successes, trials, interval):
     assert wilson_interval(successes, trials) == pytest.approx(interval, abs=5e-5)
 
 
-def test_wilson_covers_the_truth_about_as_often_as_it_says():
+def test_wilson_covers_the_true_share_at_the_stated_confidence():
     trials = 100
     intervals = [wilson_interval(successes, trials) for successes in range(trials + 1)]
 

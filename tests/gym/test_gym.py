@@ -1,4 +1,4 @@
-"""Gymnasium: every id is found and runs, its checks pass, and episodes end as its specification says."""
+"""Gymnasium: every id runs, its own checks pass, and episodes end as its specification says."""
 
 import subprocess
 import sys
@@ -86,7 +86,7 @@ def test_a_seed_repeats_everything_bit_by_bit(id):
     assert not env_checker.data_equivalence(runs[0][0], runs[2][0])
 
 
-def test_a_restart_with_a_seed_is_what_a_new_environment_does():
+def test_a_reset_with_a_seed_equals_a_new_environment():
     env = make("arrive/Rough-v0", overrides=SHORT).unwrapped._env
     first = env.get_observations()["policy"]
     for _ in range(30):
@@ -188,7 +188,7 @@ def test_gymnasiums_wrappers_fit():
     assert infos[0]["final_info"]["failure"] in ("", "late", "stalled", "wrong_side")
 
 
-def test_levels_stay_where_they_are_put_and_follow_success_otherwise():
+def test_levels_are_fixed_if_given_and_follow_success_otherwise():
     fixed = make("arrive/All-v0", num_envs=10, level=1, overrides=SHORT)
     fixed.reset(seed=1)
     has_levels = [family.lowest != family.highest for family in FAMILIES.values()]
@@ -203,7 +203,7 @@ def test_levels_stay_where_they_are_put_and_follow_success_otherwise():
     assert max(levels) == 1
 
 
-def test_mistakes_are_named():
+def test_wrong_arguments_are_named():
     for mistake, part in (
         ({"level": 2}, "levels are 0 to 1"),
         ({"preset": "moon"}, "unknown preset"),

@@ -1,4 +1,4 @@
-"""Controllers of a small untrained policy, and what a standing robot tells them."""
+"""Controllers of a small untrained policy, and measurements of a standing robot."""
 
 import dataclasses
 

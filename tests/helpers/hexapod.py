@@ -1,4 +1,4 @@
-"""A robot like none that is built in: six legs of four joints, with motors that differ along a leg."""
+"""A test robot with six legs of four joints, and motors that differ along a leg."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Programs beside the package, as modules: scripts, benchmarks and examples."""
+"""Loads scripts, benchmarks and examples as modules."""
 
 import importlib.util
 import sys

@@ -1,4 +1,4 @@
-"""A small stand-in for ROS 2: nodes whose topics, timers and clock a test turns by hand."""
+"""A small replacement of ROS 2: the test controls its topics, timers and clock."""
 
 import sys
 import types

@@ -1,4 +1,4 @@
-"""Trainings of a few small robots, and what two of them have in common."""
+"""Short trainings of a few robots, and comparisons of two of them."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""Checkpoints and policies: sealed, read without executing anything, refused with a reason."""
+"""Checkpoint and policy files: a digest, no executed code, and reasons for refused files."""
 
 import math
 import os
@@ -74,7 +74,7 @@ def test_what_is_saved_is_read_back(run):
         assert torch.equal(weights[name], value)
 
 
-def test_a_sealed_file_stays_one_that_torch_can_read(tmp_path):
+def test_torch_can_read_a_file_with_a_digest(tmp_path):
     save_sealed(CONTENT, tmp_path / "policy.pt")
     assert torch.equal(torch.load(tmp_path / "policy.pt", weights_only=True)["weights"], CONTENT["weights"])
     assert is_sealed((tmp_path / "policy.pt").read_bytes())
@@ -173,7 +173,7 @@ def test_a_sealed_file_with_bad_weights_is_refused(run, tmp_path, kind):
     ],
     ids=str,
 )
-def test_a_sealed_file_whose_entries_make_no_sense_is_refused(run, tmp_path, changes):
+def test_a_valid_digest_with_wrong_entries_is_refused(run, tmp_path, changes):
     path = changed_copy(run / POLICY_NAME, tmp_path, **changes)
     with pytest.raises(ArriveError) as refused:
         load_policy(path)
@@ -183,7 +183,7 @@ def test_a_sealed_file_whose_entries_make_no_sense_is_refused(run, tmp_path, cha
 @pytest.mark.parametrize(
     "state", [None, {}, [], {"algorithm": None}, {"algorithm": {}}, {"algorithm": {"a": torch.ones(2)}}], ids=str
 )
-def test_a_checkpoint_whose_state_makes_no_sense_is_neither_resumed_nor_started_from(run, tmp_path, state):
+def test_a_checkpoint_with_a_wrong_state_is_neither_resumed_nor_started_from(run, tmp_path, state):
     changed_copy(run / CHECKPOINT_NAME, tmp_path, state=state)
     trainer = trainer_in(tmp_path)
     for way in (trainer.load, lambda: trainer.warm_start(tmp_path / CHECKPOINT_NAME)):

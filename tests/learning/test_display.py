@@ -20,7 +20,7 @@ def shown_in_terminal(report: IterationReport, width: int) -> str:
 
 
 @pytest.mark.parametrize("width", [80, 120, 200])
-def test_the_panel_shows_the_figures_at_any_width(width):
+def test_the_panel_shows_all_values_at_any_width(width):
     text = shown_in_terminal(make_report(40), width)
     for figure in ("anymal_c, stairs, quick", "runs/first", "40 %", "2:28 elapsed", "3:42 left", "983.04 k samples"):
         assert figure in text
@@ -45,18 +45,18 @@ def test_the_panel_says_that_the_exploration_reward_is_gone():
     assert "removed" in shown_in_terminal(make_report(60), 80)
 
 
-def test_the_panel_shows_a_run_of_which_nothing_is_known_yet():
+def test_the_panel_shows_a_run_without_finished_episodes():
     empty = make_report(0, families={}, rewards={}, failures={}, learning={}, time_left_s=math.inf)
     assert "- left" in shown_in_terminal(empty, 80)
 
 
-def test_level_bars_are_tallest_at_the_commonest_level_and_pool_many_levels():
+def test_level_bars_are_tallest_at_the_most_common_level_and_merge_many_levels():
     assert level_bars((8, 40, 16, 0)).plain == "▃█▄▁"
     assert level_bars((0, 0)).plain == "▁▁"
     assert len(level_bars((1,) * 100).plain) <= 24
 
 
-def test_a_pipe_gets_a_line_at_a_time_and_the_last_one():
+def test_a_pipe_gets_lines_at_intervals_and_the_last_one():
     output = io.StringIO()
     with TrainingDisplay("title", "runs/first", Console(file=output, width=80)) as display:
         for iteration in range(1, 6):

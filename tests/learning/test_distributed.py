@@ -1,4 +1,4 @@
-"""Two processes train one policy: gradients are averaged, states kept apart, and one of them speaks."""
+"""Two processes train one policy: averaged gradients, separate states, and logs of rank 0 alone."""
 
 import json
 import os
@@ -88,7 +88,7 @@ def test_both_go_back_when_one_meets_a_nan(folder):
     assert (folder / "spoil" / "rank1" / "dump_0.pt").is_file()
 
 
-def test_one_process_is_alone():
+def test_a_single_process_does_not_communicate():
     ranks = join_ranks(torch.device("cpu"))
     assert (ranks.rank, ranks.count, ranks.leads, ranks.seed_offset, ranks.settings()) == (0, 1, True, 0, None)
     assert ranks.gather("a") == ["a"]

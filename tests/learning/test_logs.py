@@ -1,4 +1,4 @@
-"""A run's log: read as it was written, continued where a run is resumed."""
+"""A run's log: written, read and continued by a resumed run."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_a_log_is_read_as_it_was_written(tmp_path):
     assert columns["arrival/all"][2] == 0.42
 
 
-def test_a_new_figure_becomes_a_column_that_is_nan_before(tmp_path):
+def test_a_new_metric_becomes_a_column_that_is_nan_before(tmp_path):
     log = RunLog(tmp_path)
     log.write(make_report(1))
     log.write(make_report(2, learning={"kl": 0.02}))

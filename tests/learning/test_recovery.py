@@ -1,4 +1,4 @@
-"""What training does at a NaN: it stops, keeps the evidence, goes back and goes on."""
+"""Recovery from NaN: stop, save a dump, go back, continue."""
 
 import math
 import signal
@@ -82,7 +82,7 @@ def test_a_broken_network_is_replaced_by_the_last_good_one(tmp_path, broken):
 
 
 @pytest.mark.parametrize("iteration", [0, 2])
-def test_what_comes_back_for_ever_ends_the_run(tmp_path, iteration):
+def test_a_run_ends_if_nan_returns_after_every_recovery(tmp_path, iteration):
     """Also where good iterations lie between the state to go back to and the one that goes wrong."""
     trainer = make_trainer(tmp_path / "run")
     spoil_term(trainer, "task", 3, when=lambda: trainer.state.iteration == iteration)

@@ -1,4 +1,4 @@
-"""A run's folder: one writer, begun with its first checkpoint; whatever is damaged is one line that says what to do."""
+"""A run's folder: one writer at a time, and damaged files are errors of one line that say what to do."""
 
 import errno
 import json
@@ -108,7 +108,7 @@ def test_runs_that_begin_in_the_same_second_get_folders_of_their_own(monkeypatch
 # Begun with the first checkpoint.
 
 
-def test_a_start_that_was_cut_off_can_be_begun_again(run, refused):
+def test_a_start_that_was_interrupted_can_be_repeated(run, refused):
     """Killed between the configuration and the first checkpoint, or while that was written."""
     for name in ("checkpoint.pt", "policy.pt", "log.csv", "curves.png"):
         (run / name).unlink()
@@ -122,7 +122,7 @@ def test_a_start_that_was_cut_off_can_be_begun_again(run, refused):
 
 
 @pytest.mark.parametrize("name", ["checkpoint.pt", "policy.pt", "log.csv"])
-def test_a_folder_with_anything_that_was_learnt_is_not_begun_again(run, refused, name):
+def test_a_folder_with_a_checkpoint_is_not_started_again(run, refused, name):
     for other in {"checkpoint.pt", "policy.pt", "log.csv"} - {name}:
         (run / other).unlink()
     before = (run / name).read_bytes()
@@ -130,7 +130,7 @@ def test_a_folder_with_anything_that_was_learnt_is_not_begun_again(run, refused,
     assert (run / name).read_bytes() == before
 
 
-def test_what_a_killed_save_left_is_gone_after_a_resume(run):
+def test_files_of_a_killed_save_are_removed_by_a_resume(run):
     (run / ".policy.pt.abc.tmp.pt").write_text("half")
     resume(run)
     assert names(run) == WHOLE
@@ -177,7 +177,7 @@ def test_a_damaged_log_is_not_continued(run, refused, damage):
     assert {name: (run / name).read_bytes() for name in before} == before
 
 
-def test_a_log_that_is_no_text_is_not_continued(run, refused):
+def test_a_binary_log_is_not_continued(run, refused):
     (run / "log.csv").write_bytes(b"\xff\x00" * 100)
     assert "not UTF-8" in refused(resume, run)
 
@@ -191,7 +191,7 @@ def test_rows_after_the_checkpoint_are_dropped(run):
     assert read_log(run)["iteration"] == [1, 2, 3, 4, 5]
 
 
-def test_a_log_that_is_gone_begins_anew_and_says_so(run, capsys):
+def test_a_missing_log_is_started_again_with_a_message(run, capsys):
     (run / "log.csv").unlink()
     resume(run, 5)
     assert "log.csv is missing: a new log starts at iteration 4" in capsys.readouterr().out
@@ -215,7 +215,7 @@ def test_a_file_in_place_of_the_tensorboard_folder_is_one_line(run, refused):
     resume(run)
 
 
-def test_damaged_tensorboard_files_are_not_in_the_way(run):
+def test_damaged_tensorboard_files_do_not_stop_a_resume(run):
     for path in (run / "tensorboard").iterdir():
         path.write_bytes(b"damaged")
     resume(run)
@@ -232,7 +232,7 @@ def do_at_iteration(monkeypatch, iteration: int, action) -> None:
 
 
 @pytest.mark.parametrize("what", ["removed", "changed"])
-def test_a_log_that_somebody_touches_while_training_ends_it(run, refused, monkeypatch, what):
+def test_a_log_that_is_changed_from_outside_ends_training(run, refused, monkeypatch, what):
     path = run / "log.csv"
     touch = path.unlink if what == "removed" else lambda: path.write_text(path.read_text() + "more")
     do_at_iteration(monkeypatch, 5, touch)
@@ -329,7 +329,7 @@ def test_a_second_ctrl_c_ends_at_once(run, refused, monkeypatch):
 # What goes wrong otherwise.
 
 
-def test_debug_shows_where_it_went_wrong(tmp_path, refused):
+def test_debug_prints_the_traceback(tmp_path, refused):
     command = ["train", "flat", "--resume", str(tmp_path)]
     refused(cli.main, command)
     with pytest.raises(ArriveError, match="not a run folder"):
@@ -345,7 +345,7 @@ def test_debug_shows_where_it_went_wrong(tmp_path, refused):
     ],
     ids=str,
 )
-def test_what_nobody_has_thought_of_is_one_line(tmp_path, refused, monkeypatch, error, words):
+def test_an_unexpected_error_is_one_line(tmp_path, refused, monkeypatch, error, words):
     def fail(*arguments, **options):
         raise error
 
@@ -354,7 +354,7 @@ def test_what_nobody_has_thought_of_is_one_line(tmp_path, refused, monkeypatch, 
 
 
 @pytest.mark.parametrize(("threads", "words"), [("-1", "must be at least 0"), ("1000000", "must be 0 to")])
-def test_threads_that_make_no_sense_are_refused(refused, threads, words):
+def test_a_wrong_number_of_threads_is_refused(refused, threads, words):
     assert f"--threads {words}" in refused(cli.main, ["train", "flat", "--threads", threads])
 
 

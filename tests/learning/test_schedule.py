@@ -1,4 +1,4 @@
-"""The schedule: a gait first, then levels, then quiet; and a run follows it."""
+"""The schedule of training: gait, climb and finish, and a run that follows it."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -12,7 +12,7 @@ from arrive.presets import joystick, robust
 CONFIG = replace(robust(), schedule=ScheduleConfig(enabled=True))
 
 
-def test_while_a_gait_is_sought_the_configuration_holds():
+def test_the_gait_stage_uses_the_configured_values():
     now = settings_at(CONFIG, spent=0.2, seeking=1.0)
     assert now.stage == "gait"
     assert (now.entropy, now.desired_kl) == (CONFIG.ppo.entropy, CONFIG.ppo.desired_kl)
@@ -21,7 +21,7 @@ def test_while_a_gait_is_sought_the_configuration_holds():
     assert now.review == 0.0
 
 
-def test_noise_falls_and_crashes_grow_dearer_and_nothing_jumps():
+def test_noise_falls_and_crash_cost_grows_without_jumps():
     shares = [i / 200 for i in range(201)]
     run = [settings_at(CONFIG, spent, seeking=0.0) for spent in shares]
     for before, after in pairwise(run):
@@ -61,7 +61,7 @@ def test_an_actuator_network_keeps_its_own_step():
     assert {settings_at(config, spent, 0.0).decimation for spent in (0.1, 0.9)} == {config.physics.decimation}
 
 
-def test_a_calm_gait_is_neither_pushed_nor_sent_elsewhere():
+def test_with_calm_gait_there_are_no_pushes_and_new_targets_before_a_gait():
     """Until the gait is found only, and only where the preset asks for it."""
     config = joystick()
     assert settings_at(config, 0.1, seeking=1.0).calm

@@ -1,4 +1,4 @@
-"""Reflections undo themselves and commute with the simulation, and symmetric networks treat mirror images alike."""
+"""Reflections are their own inverse and agree with the simulation; symmetric networks are equivariant."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def start_as_mirror_images(env: ArriveEnv, position: tuple[float, float, float],
         ("gap", 0.6, (0.813, 0.617, 0.58)),
     ],
 )
-def test_a_mirrored_robot_senses_and_earns_what_the_robot_does_mirrored(family, value, position):
+def test_a_mirrored_robot_has_mirrored_observations_and_equal_rewards(family, value, position):
     env = two_robots(family, value)
     start_as_mirror_images(env, position, seed=0)
     mirror, generator = make_reflections(env)[1], torch.Generator().manual_seed(0)
@@ -88,7 +88,7 @@ def test_a_mirrored_robot_senses_and_earns_what_the_robot_does_mirrored(family, 
     assert touched
 
 
-def test_a_reversed_robot_senses_what_the_robot_does_reversed():
+def test_a_reversed_robot_has_reversed_observations():
     """Front-back reflection of states and of the pit's ground, whose image it is, before anything moves."""
     env = two_robots("pit", 0.4)
     rng = np.random.default_rng(3)

@@ -170,7 +170,7 @@ def test_a_budget_of_minutes_ends_the_run(tmp_path):
 # NaN and infinity.
 
 
-def test_one_diverged_robot_is_reset_and_the_others_do_not_notice(tmp_path):
+def test_a_diverged_robot_is_reset_without_effect_on_others(tmp_path):
     spoilt, twin = (make_trainer(tmp_path / name, "randomisation.push_speed=0").env for name in ("a", "b"))
     actions = torch.zeros(NUM_ENVS, spoilt.num_actions)
     for _ in range(3):
@@ -263,7 +263,7 @@ def test_bootstrapping_adds_the_discounted_value_at_time_outs_alone(tmp_path, mo
     assert (storage.rewards.squeeze(-1) != rewards)[time_out].all()
 
 
-def test_everything_switched_on_trains(tmp_path):
+def test_all_options_together_train(tmp_path):
     train("flat,gap", tmp_path / "run", 3, "ppo.symmetry=true", "schedule.enabled=true")
     rows = log_rows(tmp_path / "run")
     assert [row["iteration"] for row in rows] == ["1", "2", "3"]
@@ -305,7 +305,7 @@ def test_a_run_can_start_from_the_networks_of_another(tmp_path):
     assert (trainer.state.iteration, trainer.state.samples) == (0, 0)
 
 
-def test_a_policy_alone_gives_its_actor_and_an_exported_one_all_but_the_noise(tmp_path):
+def test_a_warm_start_from_a_policy_takes_its_actor_and_from_an_export_all_but_the_noise(tmp_path):
     train("flat", tmp_path / "first", 1)
     export_policy(load_policy(tmp_path / "first"), tmp_path / "first.onnx")
     first = load_policy(tmp_path / "first").actor.state_dict()

@@ -1,4 +1,4 @@
-"""Training that learns nothing says so, and training that learns says nothing."""
+"""Training that learns nothing gives warnings, and normal training gives none."""
 
 import io
 import re
@@ -63,7 +63,7 @@ def test_each_symptom_has_its_warning_with_likely_causes(name):
     ],
     ids=str,
 )
-def test_what_may_still_become_good_has_none(changes):
+def test_normal_trainings_have_no_warning(changes):
     assert find_warnings(report(**changes)).warnings == {}
 
 

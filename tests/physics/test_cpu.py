@@ -1,4 +1,4 @@
-"""The CPU engine: accurate, the same at any number of threads, resumable, and deaf to one robot's failure."""
+"""The CPU engine: accurate, bit-identical at any number of threads, resumable, and robust to diverged robots."""
 
 from dataclasses import replace
 from functools import cache
@@ -139,7 +139,7 @@ class TestAccuracy:
         assert (counts > 0) == collide
         assert not engine.read().crash_contacts.any()
 
-    def test_a_leg_never_meets_itself_or_the_base(self):
+    def test_a_leg_does_not_collide_with_itself_or_the_base(self):
         """Collision bits over all geoms: each leg meets the others and the terrain, the base the terrain alone."""
         model = world()
         leg_of_body = [model.body(body).name[:2] for body in range(model.nbody)]

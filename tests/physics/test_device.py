@@ -1,4 +1,4 @@
-"""The device is chosen by what can be used, and what cannot be used says why and what to do."""
+"""The choice of a device. An unusable device is an error that says why and what to do."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def machine(monkeypatch):
         ({"warp": False}, "MuJoCo Warp is not installed: pip install"),
     ],
 )
-def test_a_gpu_that_cannot_be_used_is_one_clear_sentence(machine, lack, advice):
+def test_an_unusable_gpu_is_an_error_of_one_sentence(machine, lack, advice):
     machine(**lack)
     with pytest.raises(ArriveError, match=f"--device cuda: {advice}"):
         choose_device("cuda")
@@ -66,7 +66,7 @@ def test_the_engine_belongs_to_the_device():
         make_physics(robot, [world], PhysicsConfig(engine="mujoco"), 1, 1, torch.device("cuda"))
 
 
-def test_the_command_line_says_it_before_it_makes_anything(machine, tmp_path, capsys):
+def test_an_unusable_device_is_an_error_before_files_are_written(machine, tmp_path, capsys):
     machine(cuda=None)
     with pytest.raises(SystemExit):
         main(["train", "flat", "--iterations", "1", "--device", "cuda", "--out", str(tmp_path / "run")])

@@ -1,4 +1,4 @@
-"""Robots moved by an actuator network: both engines, resets, checkpoints, and what a configuration may say."""
+"""Robots with actuator networks: both engines, resets, checkpoints and checks of the configuration."""
 
 from dataclasses import replace
 from functools import cache
@@ -137,14 +137,14 @@ def test_a_diverged_robot_leaves_the_others_alone():
 
 class TestClip:
     @pytest.mark.parametrize(("clip", "kind"), [("affine", "dc"), ("constant", "ideal")])
-    def test_cuts_where_the_motors_inside_mujoco_do(self, clip, kind):
+    def test_the_clip_limits_torque_like_the_motors_inside_mujoco(self, clip, kind):
         """A PD torque cut afterwards is the torque of the PD motor with that limit."""
         error, speed = np.meshgrid(np.linspace(-4, 4, 41), np.linspace(-15, 15, 61))
         torque = MOTOR.stiffness * error - MOTOR.damping * speed
         TorqueClip([MOTOR], clip).cut(torque, speed)
         np.testing.assert_allclose(torque, motor_torque(MOTOR, error, speed, kind), atol=1e-9)
 
-    def test_none_cuts_nothing(self):
+    def test_no_clip_keeps_the_torque(self):
         torque = np.array([1e4, -1e4])
         TorqueClip([MOTOR], "none").cut(torque, np.array([20.0, -20.0]))
         assert torque.tolist() == [1e4, -1e4]
@@ -170,7 +170,7 @@ class TestClip:
 
 
 class TestSimulatedRobot:
-    def test_moves_as_in_training(self, tmp_path):
+    def test_the_simulated_robot_moves_as_in_training(self, tmp_path):
         """The robot of `play` and `drive`, from the same state with the same targets."""
         path = tmp_path / "drive.safetensors"
         write_network(path, lstm())

@@ -192,7 +192,7 @@ class TestWorlds:
         base = template.body(ROBOT.base_body).id
         assert np.diff(tables["body_mass"][:, base]).tolist() == pytest.approx([0.0, -7.0])
 
-    def test_what_cannot_differ_is_an_error(self):
+    def test_worlds_that_differ_in_unsupported_fields_are_an_error(self):
         worlds = [world("flat"), world("flat", replace(ONE_STEP, motor="ideal"))]
         template = build_template(ROBOT, worlds, ONE_STEP)
         with pytest.raises(ArriveError, match=r"worlds differ in actuator_\w+, which MuJoCo Warp cannot vary"):
@@ -305,7 +305,7 @@ class TestEngine:
         assert faulty.read().finite.all()
         assert_same_reading(healthy, faulty)
 
-    def test_a_retired_robot_stays_where_it_was(self):
+    def test_an_inactive_robot_stays_where_it_was(self):
         _, engine = pair(MIXED, 4)
         engine.deactivate(torch.tensor([2]))
         before = engine.state_dict()

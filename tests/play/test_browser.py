@@ -231,7 +231,7 @@ def browser(stage):
     return stage.browsers[0]
 
 
-def test_the_page_shows_the_robot_and_how_it_is(browser):
+def test_the_page_shows_the_robot_and_its_status(browser):
     shown = picture(browser)
     assert shown.reshape(-1, 3).std(axis=0).min() > 10.0, "the canvas is not uniform"
     for word in ("Waiting", "flat ground", "Plots", "Go (G)", "Slow motion (M)", "Reset (R)", "Policy", "Terrain"):
@@ -243,7 +243,7 @@ def press(browser, label: str) -> None:
     browser.find_element("xpath", f"//button[.//*[text()='{label}']]").click()
 
 
-def test_go_sends_the_robot_to_what_is_drawn(stage, browser):
+def test_go_sends_the_robot_to_the_drawn_target(stage, browser):
     assert stage.playground.target is None
     press(browser, "Go (G)")
     wait_until(lambda: stage.playground.target, "the target")
@@ -306,7 +306,7 @@ def test_terrain_and_value_change(stage, browser):
     wait_until(lambda: np.abs(picture(browser) - before).mean() > 5.0, "other ground in the picture")
 
 
-def test_the_stick_drives_until_it_is_let_go(stage, browser):
+def test_the_stick_drives_until_it_is_released(stage, browser):
     hold(browser, 0.6, 0.0)
     wait_until(lambda: stage.playground.command.mode == "joystick", "the stick")
     # The camera looks along the way: away from the person.
@@ -359,7 +359,7 @@ def test_two_browsers_share_the_robot_and_a_reload_keeps_it(stage, browser):
     assert len(stage.server.get_clients()) == 1
 
 
-def test_a_phone_shows_the_robot_and_what_one_drives_with(stage, browser):
+def test_a_phone_shows_the_robot_and_the_stick(stage, browser):
     phone = stage.open_page(390, 844)
     try:
         bar = phone.find_element("css selector", "[data-arrive-bar]")

@@ -1,4 +1,4 @@
-"""The door of the page: whatever a request says, it is let in or refused with a reason, and nothing is raised."""
+"""The check of requests to the page: each is allowed or refused with a reason, and none raises."""
 
 import itertools
 import random
@@ -30,7 +30,7 @@ def request(host, origin=None, upgrade=None, cookie=None) -> Headers:
     return headers
 
 
-def test_three_thousand_requests_are_let_in_or_refused():
+def test_three_thousand_requests_are_allowed_or_refused():
     rng = random.Random(24)
     origins = ("null", *(f"{scheme}{host}" for scheme in ("http://", "file://", "") for host in HOSTS))
     let_in = set()
@@ -48,7 +48,7 @@ def test_three_thousand_requests_are_let_in_or_refused():
 
 
 @pytest.mark.parametrize("host", [host for host in HOSTS if host not in ("127.0.0.1:8080", "localhost", "[::1]:8080")])
-def test_hosts_that_are_none_of_this_page_are_refused(host):
+def test_other_hosts_are_refused(host):
     assert HERE.refusal(request(host), "/").startswith("this page is not served as")
 
 
@@ -62,7 +62,7 @@ def test_a_websocket_is_opened_by_the_page_itself(origin):
     assert "are refused" in HERE.refusal(request("localhost", None, "websocket"), "/")
 
 
-def test_without_the_token_nobody_is_let_in_from_abroad():
+def test_requests_from_other_machines_need_the_token():
     for path, cookie in itertools.product(PATHS, COOKIES):
         refusal = ABROAD.refusal(request("box", cookie=cookie), path)
         right = path == "/?token=secret" or cookie == "arrive_8080=secret"

@@ -1,4 +1,4 @@
-"""Who may open the page of `arrive play`, and what browsers may say to it."""
+"""Which requests may open the page of `arrive play`, and which messages of browsers are handled."""
 
 import asyncio
 import contextlib
@@ -106,7 +106,7 @@ def headers(host: str | None, origin: str | None = None, cookie: str = "", upgra
         ("[", "http://[", False),
     ],
 )
-def test_only_the_pages_own_requests_are_let_in(host, origin, let_in):
+def test_only_requests_of_the_page_are_allowed(host, origin, let_in):
     assert (door_of("127.0.0.1", 8080).refusal(headers(host, origin), "/") == "") == let_in
 
 
@@ -116,7 +116,7 @@ def test_a_request_with_two_hosts_is_refused():
     assert door_of("127.0.0.1", 8080).refusal(both, "/")
 
 
-def test_beyond_this_machine_a_token_is_asked_for():
+def test_a_page_for_other_machines_needs_a_token():
     door = door_of("0.0.0.0", 8080)
     assert len(door.token) >= 20
     assert door.token != door_of("0.0.0.0", 8080).token
@@ -137,7 +137,7 @@ def test_beyond_this_machine_a_token_is_asked_for():
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "127.0.0.2"])
-def test_on_this_machine_alone_no_token_is_needed(host):
+def test_a_page_for_this_machine_needs_no_token(host):
     assert door_of(host, 8080).token == ""
 
 
@@ -300,7 +300,7 @@ def test_no_message_harms_the_robot_or_other_browsers(page, caplog, monkeypatch)
     assert not [record for record in caplog.records if record.exc_info], "no traceback"
 
 
-def test_the_pages_own_messages_are_heard(page):
+def test_messages_of_the_page_are_handled(page):
     speed = page.session._panel._speed
     uuid = next(uuid for uuid, control in page.controls().items() if control is speed)
 
@@ -333,7 +333,7 @@ def test_a_message_that_is_too_large_ends_its_connection_alone(page):
     assert asyncio.run(answers(page))
 
 
-def test_a_ray_that_points_nowhere_hits_nothing(page):
+def test_a_ray_without_direction_hits_nothing(page):
     hit = page.playground.hit
     for direction in ((0.0, 0.0, 0.0), (math.nan, 0.0, 1.0), (math.inf, 0.0, 0.0)):
         assert hit((0.0, 0.0, 5.0), direction) is None

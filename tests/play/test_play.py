@@ -109,13 +109,13 @@ def test_a_target_stays_on_known_ground_at_the_height_of_training(skill):
 @pytest.mark.parametrize(
     "bad", [(math.nan, 0.0, 5.0), (1.0, math.inf, 5.0), (1.0, 0.0, 0.0), (1.0, 0.0, math.nan), (1.0, 0.0, 1e30)]
 )
-def test_a_target_that_is_none_is_refused(playground, bad):
+def test_a_target_that_is_not_finite_is_refused(playground, bad):
     with pytest.raises(ArriveError, match="a target needs"):
         playground.send(*bad)
     assert playground.target is None
 
 
-def test_a_target_in_a_hole_is_remarked_upon(skill):
+def test_a_target_in_a_hole_gives_a_message(skill):
     playground = Playground(skill, hardest("gap"))
     x, y = np.argwhere(~playground.robot.tile.target_valid)[0]
     center = (np.array([x, y]) + 0.5) * 0.05 - RASTER_HALF
@@ -273,7 +273,7 @@ def measurement(**solved: object) -> dict:
     return content | {"families": {name: gap | {"max_at_95": value} for name, value in solved.items()}}
 
 
-def test_a_policy_opens_on_the_hardest_that_it_solves(tmp_path):
+def test_a_policy_opens_on_its_hardest_solved_terrain(tmp_path):
     skill = open_skill(str(measured(tmp_path, stairs=0.2, slope=25.0, gap=None)))
     ground = skill.ground("evaluation")
     assert (ground.family.name, ground.value) == ("stairs", 0.2)
@@ -289,13 +289,13 @@ def test_a_policy_opens_on_the_hardest_that_it_solves(tmp_path):
     assert playground.target.arrive_at_s == pytest.approx(7.0)
 
 
-def test_a_policy_that_nobody_measured_opens_on_level_ground(skill):
+def test_a_policy_without_a_measurement_opens_on_flat_ground(skill):
     assert skill.solved == {}
     assert skill.ground("evaluation").family.name == "flat"
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[]", '{"families": 3}', '{"families": {"gap": 0.4}}'])
-def test_a_damaged_measurement_is_told_and_the_policy_can_be_chosen(tmp_path, monkeypatch, content):
+def test_a_policy_with_a_damaged_measurement_can_be_chosen(tmp_path, monkeypatch, content):
     shipped(tmp_path, "leaper", "anymal_c")
     shipped(tmp_path, "unreadable", "anymal_c")
     (tmp_path / "unreadable" / "config.json").write_text(content[:-1])
@@ -308,13 +308,13 @@ def test_a_damaged_measurement_is_told_and_the_policy_can_be_chosen(tmp_path, mo
 
 
 @pytest.mark.parametrize("value", [None, 99.0, -1])
-def test_what_is_no_value_of_a_terrain_was_not_solved(tmp_path, value):
+def test_a_value_out_of_a_terrains_range_is_not_solved(tmp_path, value):
     (tmp_path / "difficulty.json").write_text(json.dumps(measurement(gap=value, moon=1.0, pit=0.3)))
     assert solved_beside(tmp_path) == {"pit": 0.3}
 
 
 @pytest.mark.parametrize("value", ["wide", True, float("nan"), [0.4]])
-def test_what_is_no_value_at_all_is_damaged(tmp_path, value):
+def test_a_solved_value_that_is_not_a_number_is_damaged(tmp_path, value):
     (tmp_path / "difficulty.json").write_text(json.dumps(measurement(gap=value, pit=0.3)))
     with pytest.raises(ArriveError, match=r"difficulty\.json: families\.gap\.max_at_95 must be a"):
         solved_beside(tmp_path)
@@ -327,7 +327,7 @@ def shipped(folder: Path, name: str, robot: str, **solved: float | None) -> None
     (folder / name / "config.json").write_text(json.dumps({"config": {"robot": robot}}))
 
 
-def test_the_chooser_says_what_policies_can_and_for_which_robot(tmp_path, monkeypatch):
+def test_the_menu_shows_solved_values_and_robots(tmp_path, monkeypatch):
     shipped(tmp_path, "leaper", "anymal_c", gap=0.5, flat=0.0, stairs=0.1)
     shipped(tmp_path, "trotter", "go2", stairs=0.1)
     monkeypatch.setattr(policies, "SHIPPED", tmp_path)
@@ -339,7 +339,7 @@ def test_the_chooser_says_what_policies_can_and_for_which_robot(tmp_path, monkey
     }
 
 
-def test_robots_are_offered_where_there_are_several(playground, tmp_path, monkeypatch):
+def test_the_menu_of_robots_is_shown_if_there_are_several(playground, tmp_path, monkeypatch):
     pytest.importorskip("viser")
     from arrive.play.panel import Panel
     from arrive.play.server import open_server
@@ -425,7 +425,7 @@ def test_time_can_be_slowed_and_stopped(factor, steps):
     assert pace.dropped_s == 0.0
 
 
-def test_what_cannot_be_kept_up_with_is_dropped_and_counted():
+def test_delays_beyond_the_limit_are_dropped_and_summed():
     pace = Pace(0.02)
     pace.steps_due(0.0)
     assert pace.steps_due(5.0) == round(LARGEST_DELAY_S / 0.02)
@@ -602,7 +602,7 @@ def test_colours_follow_the_robots_own_names():
     assert len(colours.palette(20)) == 20
 
 
-def test_the_trail_fades_and_breaks_where_a_foot_was_put_elsewhere():
+def test_the_trail_fades_and_is_interrupted_by_a_reset():
     trail = Trail(0.04)
     assert len(trail.segments(np.zeros((6, 3)), np.zeros(3))[0]) == 0
     feet = np.zeros((6, 3))
@@ -629,7 +629,7 @@ def test_a_mesh_of_a_description_is_drawn():
 # Policies by name.
 
 
-def test_a_policy_is_one_and_the_same_by_every_name(tmp_path, exported):
+def test_all_names_of_a_policy_give_the_same_policy(tmp_path, exported):
     copy = tmp_path / "policy.pt"
     shutil.copy(RUN / "policy.pt", copy)
     golden = open_policy().meta["golden"]
@@ -648,7 +648,7 @@ def test_results_of_a_policy_go_to_its_own_folder(exported):
 @pytest.mark.parametrize(
     ("name", "meant"), [("joistick", "joystick"), ("mine", "runs/mine"), ("runs/mime", "runs/mine"), ("x", "")]
 )
-def test_an_unknown_policy_is_guessed(tmp_path, monkeypatch, name, meant):
+def test_an_unknown_policy_gets_a_suggestion(tmp_path, monkeypatch, name, meant):
     mine = tmp_path / "runs" / "mine"
     mine.mkdir(parents=True)
     (mine / "policy.pt").touch()
@@ -658,7 +658,7 @@ def test_an_unknown_policy_is_guessed(tmp_path, monkeypatch, name, meant):
     assert (f"Did you mean {meant}?" in str(refused.value)) if meant else ("mean" not in str(refused.value))
 
 
-def test_what_lies_in_the_current_folder_goes_before_a_shipped_policy(tmp_path, monkeypatch):
+def test_a_file_in_the_current_folder_has_priority_over_a_shipped_policy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / DEFAULT).mkdir()
     assert policies.find_policy(DEFAULT) == RUN, "a folder without a policy does not count"
@@ -673,7 +673,7 @@ def test_shipped_policies_are_slim_and_complete():
         assert (folder / "policy.pt").stat().st_size < 500_000
 
 
-def test_list_says_what_the_shipped_policies_can(capsys, monkeypatch):
+def test_list_shows_the_solved_values_of_shipped_policies(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     cli.main(["list", "policies"])
     lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:])
@@ -748,7 +748,7 @@ def test_nothing_is_drawn_again_unless_it_changed():
     assert len(drawn) == 3, "at once, when due after the change to b, and at c"
 
 
-def test_what_the_command_is_asked_is_checked(capsys):
+def test_wrong_options_are_refused(capsys):
     pytest.importorskip("viser")
     assert "Valid:" in refused(capsys, "--terrain", "moon")
     assert "levels are 0 to 19" in refused(capsys, "--terrain", "gap", "--level", "20")

@@ -1,4 +1,4 @@
-"""The showreel: who is shown where, and a picture that stays small."""
+"""The showreel: which episodes it shows, and the size of its file."""
 
 import numpy as np
 import pytest

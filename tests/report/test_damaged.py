@@ -1,4 +1,4 @@
-"""The page of damaged results: refused in one line, or written; texts from files stay texts."""
+"""Reports of damaged results: an error of one line, or a page. Texts from files are never HTML."""
 
 import contextlib
 import json
@@ -75,7 +75,7 @@ def test_texts_from_files_stay_texts(tmp_path):
     assert page.count("&lt;script&gt;alert(1)") > 30
 
 
-def test_pages_of_damaged_results_that_were_taken_can_be_written(tmp_path):
+def test_accepted_damaged_results_give_a_page(tmp_path):
     """Each of them has one damage in every result."""
     rng = random.Random(24)
     for _ in range(PAGES):
@@ -91,7 +91,7 @@ def taken(kind: str, rng: random.Random, path: Path) -> dict:
             return read_result(path, kind)
 
 
-def test_damaged_records_are_refused_or_taken(tmp_path):
+def test_damaged_records_are_refused_or_read_correctly(tmp_path):
     path, refused = tmp_path / "config.json", 0
     for place, _, damage in damages(RECORD, 400):
         path.write_text(json.dumps(damage))

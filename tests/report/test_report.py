@@ -1,4 +1,4 @@
-"""The report's sections beside Table I: which statements hold, what is missing, and where results come from."""
+"""The report's claims on the paper, its charts, and the files that it reads."""
 
 import json
 import re
@@ -45,13 +45,13 @@ class TestEnergyStatements:
         # V at 1.0 m/s is half way from 90 to 60.
         assert (alike["verdict"], alike["why"]) == ("fails", "40 to 75 N² m² s/m at 1.00 m/s")
 
-    def test_overlapping_intervals_decide_nothing_and_a_dearer_policy_fails(self):
+    def test_a_claim_is_open_if_intervals_overlap_and_fails_if_costs_are_higher(self):
         near = energy(velocity=[(0.5, 51.0)], final=[(0.5, 50.0)])
         assert verdicts(energy_statements(near))["P_f needs less than V at low speed"] == "open"
         dear = energy(velocity=[(0.5, 51.0)], final=[(0.5, 60.0)])
         assert verdicts(energy_statements(dear))["P_f needs less than V at low speed"] == "fails"
 
-    def test_without_a_common_speed_or_a_task_nothing_is_said(self):
+    def test_a_claim_without_a_common_speed_or_a_task_is_open(self):
         for content in (energy(velocity=[(1.0, 50.0)], final=[(0.5, 50.0)]), energy(final=[(0.5, 50.0)])):
             assert set(verdicts(energy_statements(content)).values()) == {"open"}
 
@@ -77,7 +77,7 @@ def test_stability_counts_seeds_that_reach_the_goal():
     assert "<td>1 of 2</td><td>89.0 / 94.5 / 100.0</td>" in text
 
 
-def test_trainings_that_nobody_finished_are_drawn_without_them():
+def test_charts_leave_out_missing_trainings():
     figure = window_figure(window())
     assert [len(axes.lines) for axes in figure.axes][1:] == [2, 1, 1]
     assert len(stability_figure(stability(), columns=1).axes) == 2
@@ -125,7 +125,7 @@ class TestResults:
     def here(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
 
-    def test_are_found_where_their_commands_put_them(self):
+    def test_results_are_found_where_their_commands_write_them(self):
         assert read_results({}) == experiments.Results()
         Path("energy.json").write_text(json.dumps(energy(final=[(0.5, 50.0)])))
         Path("runs/stability").mkdir(parents=True)
@@ -143,7 +143,7 @@ class TestResults:
             read_results({"gait": Path("nowhere.json")})
 
 
-def test_the_use_of_the_time_tells_the_trial_that_was_run():
+def test_the_section_on_time_names_the_duration_of_the_trial():
     profile = {"time_s": [0.1, 0.2], "mean_m_s": [0.5, 0.6]}
     quartiles = {"arrival_time_s": [3.0, 4.0, 5.0], "path_length_m": [5.0, 5.5, 6.0]}
     usage = {"gap": [quartiles | {"value": 0.1, "episodes": 9, "speed_profile": profile}]}

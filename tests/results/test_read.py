@@ -1,4 +1,4 @@
-"""Result files with every key damaged: read as they are meant, or refused in one line that names file and place."""
+"""Result files with every key damaged: each is read correctly, or refused in one line with file and place."""
 
 import json
 import math
@@ -52,7 +52,7 @@ def test_the_message_says_where_and_what_would_be_valid(place, wrong, words):
         check_data(Outer, damaged(GOOD, place, wrong))
 
 
-def test_numbers_that_are_none_are_found_wherever_they_are():
+def test_numbers_that_are_not_finite_are_found_at_any_depth():
     check_finite({"a": [1, "nan", None, True, 10**400]})
     with pytest.raises(ArriveError, match=r"a\[1\].b must be a finite number, not inf"):
         check_finite({"a": [1, {"b": math.inf}]})

@@ -288,7 +288,7 @@ def test_unknown_robot_is_an_error_that_lists_the_known_ones():
         ),
     ],
 )
-def test_a_robot_that_does_not_fit_together_is_one_clear_line(change, problem):
+def test_a_robot_with_inconsistent_fields_is_an_error_of_one_line(change, problem):
     with pytest.raises(ArriveError, match=problem) as error:
         replace(ROBOT, **change)
     assert "\n" not in str(error.value)

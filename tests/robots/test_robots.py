@@ -1,4 +1,4 @@
-"""What holds of every robot, on those that are built in and on one with six legs of four joints."""
+"""Tests of every robot: the built-in ones, and one with six legs of four joints."""
 
 from dataclasses import replace
 
@@ -146,7 +146,7 @@ def test_a_reflected_robot_behaves_like_the_reflection(robot, name, axis):
 
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=lambda robot: robot.name)
-def test_what_is_looked_at_touches_nothing_and_weighs_nothing(robot):
+def test_visual_geoms_have_no_contacts_and_no_mass(robot):
     plain, drawn = robot.build_spec(False).compile(), robot.build_spec(True).compile()
     seen = drawn.geom_group == 2
     assert seen.any()

@@ -1,4 +1,4 @@
-"""What the policy senses, term by term, against hand computation and against rays."""
+"""Each observation term against a hand computation, and heights against rays."""
 
 import mujoco
 import numpy as np
@@ -132,7 +132,7 @@ def test_terms_of_robots_in_random_states():
     np.testing.assert_allclose(terms["action"], action, atol=1e-6)
 
 
-def test_a_longer_errand_than_any_in_training_is_told_as_the_longest():
+def test_the_observed_time_left_is_at_most_the_longest_episode_in_training():
     env = an_env(3)
     env.task.command.time_left_s[:] = torch.tensor([8.0, 6.02, 5.98])
     np.testing.assert_allclose(sensed(env)["time_left"][:, 0], [6.0, 6.0, 5.98], atol=1e-6)
@@ -225,7 +225,7 @@ def test_noise_is_uniform_within_its_bounds():
             assert abs(float(torch.corrcoef(values[:, :2].T)[0, 1])) < 5 / len(values) ** 0.5
 
 
-def test_robots_have_shares_of_the_noise_from_the_least_to_all():
+def test_noise_factors_are_evenly_spaced_from_noise_least_to_one():
     env = an_env(5, noise=True)
     env.observer = Observer(env.observer.terms, True, env.device, noise_least=0.2)
     noise = noise_of(env, 40)["heights"].view(40, 5, -1).abs().amax((0, 2))

@@ -177,7 +177,7 @@ def test_a_crash_is_paid_once_and_not_per_second():
     assert terms["crash_cost"].tolist() == [-2.0, 0.0]
 
 
-def test_no_term_is_without_a_test():
+def test_every_reward_term_has_a_test():
     """A new term belongs here too."""
     tested = {"task", "exploration", "stall_cost", "joint_acc_cost", "torque_cost", "collision_cost"}
     tested |= {"action_rate_cost", "foot_acc_cost", "pose_cost", "crash_cost"}

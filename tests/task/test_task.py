@@ -117,14 +117,14 @@ class TestTargets:
         with pytest.raises(ArriveError, match="no valid target"):
             targets_on(replace(tile_of("flat"), target_valid=nowhere), 2)
 
-    def test_a_share_of_them_is_only_where_it_counts(self):
+    def test_crossing_share_of_the_targets_is_beyond_the_terrain(self):
         tile = tile_of("obstacles", 0.3)
         anywhere = crossing_share(tile, 0.0)
         assert 0.1 < anywhere < 0.6
         assert crossing_share(tile, 0.5) == pytest.approx((1.0 + anywhere) / 2, abs=0.03)
         assert crossing_share(tile, 1.0) > 0.995
 
-    def test_a_share_of_those_is_just_beyond(self):
+    def test_nearest_share_of_those_targets_is_just_beyond_the_terrain(self):
         tile = tile_of("gap", 0.2)
         rasters, tile_ids = stack_rasters([tile]), torch.zeros(MANY, dtype=torch.long)
 
@@ -139,7 +139,7 @@ class TestTargets:
         assert close(1.0) > close(0.0) + 0.3
         assert close(0.25) == pytest.approx(0.75 * close(0.0) + 0.25 * close(1.0), abs=0.02)
 
-    def test_where_none_counts_they_are_anywhere(self):
+    def test_without_terrain_to_cross_targets_are_anywhere(self):
         tile = tile_of("flat")
         assert crossing_share(replace(tile, crossing=np.zeros_like(tile.crossing)), 1.0) == 0.0
 
@@ -156,7 +156,7 @@ def begin(task: FinalPositionTask, n: int, first: bool = False) -> None:
 class TestRetargeting:
     """Another target on the way, where it is asked for."""
 
-    def test_happens_as_often_as_asked_for_and_gives_a_whole_new_time(self):
+    def test_new_targets_come_at_the_configured_rate_with_a_new_time(self):
         task = a_task(tile_of("flat"), MANY, replace(TASK, retarget_s=2.0))
         begin(task, MANY)
         task.advance(3.0)
@@ -170,7 +170,7 @@ class TestRetargeting:
         assert float(offset.norm(dim=-1).min()) >= 1.0 - 1e-5
         assert float(offset.norm(dim=-1).max()) <= 5.0 + 1e-5
 
-    def test_never_happens_unless_asked_for_nor_in_a_trial(self):
+    def test_there_are_no_new_targets_by_default_and_in_trials(self):
         trial = Trial(duration_s=8.0, target=(5.0, 0.0), speed=1.0, walk=4.0)
         for task in (
             a_task(tile_of("flat"), 50),
@@ -188,7 +188,7 @@ class TestRetargeting:
             task.retarget(a_state(400, base_pos_w=torch.tensor([[x, 0.0, 0.6]]).expand(400, 3)))
             assert bool(task.command.crossing.any()) == counting
 
-    def test_a_share_of_them_is_to_stop_where_the_robot_is(self):
+    def test_stop_share_of_the_new_targets_is_at_the_robot(self):
         task = a_task(tile_of("slope", 0.5), MANY, replace(TASK, retarget_s=0.02, stop_share=0.25))
         begin(task, MANY)
         task.command.crossing[:] = True
@@ -303,11 +303,11 @@ class TestJudgement:
             assert not verdict["promote"]
             assert verdict["cause"] == ("fell" if "fell" in accident else "crash")
 
-    def test_standing_around_is_told_from_coming_late(self):
+    def test_a_stalled_robot_is_distinguished_from_a_late_one(self):
         assert judged(2.0, speed=0.09)["cause"] == "stalled"
         assert judged(2.0, speed=0.11)["cause"] == "late"
 
-    def test_a_target_on_the_own_side_proves_nothing(self):
+    def test_a_target_that_needs_no_crossing_does_not_change_the_level(self):
         for distance, crashed in ((0.1, False), (3.0, False), (3.0, True)):
             verdict = judged(distance, crashed=crashed, counts=False)
             assert not verdict["promote"]
@@ -315,7 +315,7 @@ class TestJudgement:
         assert judged(0.1, counts=False)["success"]
 
 
-def test_families_take_turns():
+def test_robots_are_assigned_to_families_in_turn():
     assert assign_families(7, 3).tolist() == [0, 1, 2, 0, 1, 2, 0]
 
 
@@ -337,7 +337,7 @@ class TestLevels:
         assert levels_after(3, 10, ended=False, promote=True).tolist() == [3]
         assert levels_after(3, 10, ended=False, demote=True).tolist() == [3]
 
-    def test_fall_after_the_wished_share_of_the_failures_and_settle_where_that_leads(self):
+    def test_demotion_share_of_the_failures_lowers_the_level(self):
         """With a quarter of them, where one episode in five succeeds; of level 8, (10 - level) / 10 succeed."""
         n, rng = 4000, torch.Generator().manual_seed(1)
         curriculum = LevelCurriculum(torch.full((n,), 20), torch.Generator().manual_seed(0))
@@ -353,16 +353,16 @@ class TestLevels:
     def test_do_not_fall_below_the_first(self):
         assert levels_after(0, 10, demote=True).tolist() == [0]
 
-    def test_beyond_the_last_are_random(self):
+    def test_after_the_last_level_comes_a_random_one(self):
         levels = levels_after(9, 10, promote=True, n=5000)
         # Within five standard deviations of 500 each.
         assert (torch.bincount(levels, minlength=10) - 500).abs().max() < 5 * (5000 * 0.1 * 0.9) ** 0.5
         assert levels_after(8, 10, promote=True, n=100).unique().tolist() == [9]
 
-    def test_of_a_family_with_one_stay(self):
+    def test_a_family_with_one_level_stays_on_it(self):
         assert levels_after(0, 1, promote=True, n=50).unique().tolist() == [0]
 
-    def test_under_review_are_easier_ones_in_the_wished_share(self):
+    def test_review_gives_an_easier_level_in_the_given_share(self):
         curriculum = LevelCurriculum(torch.full((9000,), 10), torch.Generator().manual_seed(0))
         curriculum.levels[:] = torch.tensor([0, 1, 4]).repeat(3000)
         dealt = curriculum.next_levels(torch.arange(9000), review=0.25).view(-1, 3)
@@ -373,7 +373,7 @@ class TestLevels:
         expected = 3000 * torch.tensor([0.0625, 0.0625, 0.0625, 0.0625, 0.75])
         assert ((counts - expected).abs() < 5 * expected.sqrt()).all()
 
-    def test_without_review_are_the_own_ones(self):
+    def test_without_review_episodes_are_on_the_robots_own_level(self):
         curriculum = LevelCurriculum(torch.full((50,), 10), torch.Generator().manual_seed(0))
         curriculum.levels[:] = torch.arange(50) % 10
         ids = torch.tensor([3, 40, 7])
@@ -449,7 +449,7 @@ class TestExplorationSwitch:
         feed(fresh, [(NEAR, INSIDE)], eligible=[False])
         assert fresh.factor == 1.0
 
-    def test_nothing_in_the_window_decides_nothing(self):
+    def test_without_samples_in_the_window_nothing_changes(self):
         switch = a_switch()
         feed(switch, [(NEAR, OUTSIDE)], steps=200)
         assert switch.factor == 1.0

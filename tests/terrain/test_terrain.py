@@ -1,4 +1,4 @@
-"""Terrain: what a ray and a foot meet is what the raster says, and what the parameter says."""
+"""Terrain: rays and contacts agree with the raster, and the shapes with the parameter."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -202,7 +202,7 @@ def test_evaluation_terrain_cannot_be_bypassed():
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_obstacles_are_crossed_by_who_cannot_go_straight(level):
+def test_obstacles_are_crossed_if_the_straight_way_is_blocked(level):
     """A robot 0.6 m wide that walks straight to the target touches a pillar, on every way that counts and no other."""
     tile = tile_at("obstacles", "training", level)
     rng = np.random.default_rng(0)
@@ -361,7 +361,7 @@ def test_dilation_grows_a_cell_to_a_disc():
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("size", [0.5, 1.5])
 @pytest.mark.parametrize("name", FAMILIES)
-def test_robots_of_other_sizes_have_room(name, size, layout):
+def test_tiles_fit_robots_of_other_sizes(name, size, layout):
     """Every family passes `build_tile`'s checks, and what lies ahead begins farther away for a larger robot."""
     family = FAMILIES[name]
     for value in (family.lowest, family.highest):

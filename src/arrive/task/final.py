@@ -86,7 +86,7 @@ class FinalConfig(PositionConfig):
 
 
 def arrival_radius(task: TaskConfig) -> float:
-    """Distance to the target at which a robot has arrived [m]; the position tasks' default for a task without targets."""
+    """Distance to the target at which a robot has arrived [m]; the default value for tasks without targets."""
     return task.arrival_radius if isinstance(task, PositionConfig) else PositionConfig.arrival_radius
 
 

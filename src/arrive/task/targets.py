@@ -100,7 +100,7 @@ def _any_valid(rasters: Rasters, tile_ids: Tensor, start_w: Tensor, config: Targ
 
 
 def next_valid(rasters: Rasters, tile_ids: Tensor, points: Tensor) -> Tensor:
-    """(n, 2) the points themselves where a target is allowed, otherwise the next valid point on the ray from the origin.
+    """(n, 2) the points themselves where a target is allowed, otherwise the next valid point on the origin's ray.
 
     Points farther out are tried first, the nearest first, then those closer to the origin.
 
