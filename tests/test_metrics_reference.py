@@ -6,8 +6,13 @@ import pytest
 
 from arrive import cli
 from arrive.learning.logs import read_log
-from arrive.learning.metrics import METRICS, find_metric
+from arrive.learning.metrics import METRICS, Metric
 from loading import load
+
+
+def find_metric(column: str) -> Metric | None:
+    """The metric of a column of the log, or None if there is none."""
+    return next((metric for metric in METRICS if metric.describes(column)), None)
 
 
 @pytest.fixture(scope="module")

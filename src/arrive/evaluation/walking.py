@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
 from arrive.build import Placement, build_env
 from arrive.env import ArriveEnv
@@ -114,12 +113,6 @@ def check_command(policy: Policy, headings: Sequence[Heading] = ()) -> None:
         raise ArriveError(
             f"{policy.path}: the task {name!r} walks forward (0) or backward (180) only, not towards {listed} deg"
         )
-
-
-def commanded_directions(commands: list[Heading], robots: int) -> Tensor:
-    """(len(commands) * robots, 2) unit vectors of the commanded directions in the world."""
-    angle = torch.tensor([math.radians(heading.direction_deg) for heading in commands]).repeat_interleave(robots)
-    return torch.stack([angle.cos(), angle.sin()], dim=-1)
 
 
 def check_speeds(speeds: tuple[float, ...]) -> None:

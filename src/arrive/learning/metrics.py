@@ -56,8 +56,3 @@ METRICS = (
     Metric("warnings/NAME", "1", "1 in an iteration with a warning that nothing is learnt, otherwise empty"),
 )
 """In the order of the documentation. The first metric that describes a column applies."""
-
-
-def find_metric(column: str) -> Metric | None:
-    """The metric of a column of the log, or None if there is none."""
-    return next((metric for metric in METRICS if metric.describes(column)), None)
