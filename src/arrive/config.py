@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from arrive.errors import ArriveError
+from arrive.field_values import from_dict, override, to_dict
 from arrive.fields import (
     SEED,
     AtLeastOne,
@@ -19,9 +20,6 @@ from arrive.fields import (
     Rule,
     Share,
     check_fields,
-    from_dict,
-    override,
-    to_dict,
 )
 from arrive.physics.options import LEAST_TIME_STEPS, PhysicsConfig
 from arrive.robots import Robot, get_robot
