@@ -65,19 +65,20 @@ def bench_throughput(
     start_from: Path | None = None,
     progress: OnProgress = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Measure every rate once per round, one after the other, so that what disturbs the machine disturbs all.
+    """Measure every rate once per round, so that a disturbance of the machine affects all rates.
 
-    A round is an iteration's steps of the environment and of the raw engine from the same states, an iteration taken
-    apart into collection and update, and a whole one with its log. Actions are the policy's, with exploration noise.
+    A round has three parts: the steps of one iteration by the environment and by the raw engine, from the same states;
+    one iteration with separate times for collection and update; one whole iteration with its log. Actions are the
+    policy's, with exploration noise.
 
     Args:
         config: as for training.
-        threads: of physics and of torch.
-        rounds: repetitions, after one that warms up.
-        start_from: run whose networks act; fresh ones let the robots fall.
+        threads: number of threads of physics and of torch.
+        rounds: number of rounds, after a first one that is not measured.
+        start_from: run whose networks act. With new networks, the robots fall.
 
     Returns:
-        medians by the names in `RATES`, the least and the most of their rounds, and what was measured, as JSON data.
+        medians by the names in `RATES`, their ranges, and what was measured, as JSON data.
     """
     before = _memory_kib()
     env = build_env(config, threads=threads, learning=True)
@@ -94,21 +95,23 @@ def bench_throughput(
             bench.round()
             progress(done + 1, rounds)
         log.close()
+    return _result(bench, config, memory) | {"threads": threads, "rounds": rounds, "device": str(env.device)}
+
+
+def _result(bench: "_Bench", config: Config, memory_kib: float) -> dict[str, Any]:
+    """Medians and ranges of the rounds, and what was measured, as JSON data."""
     rates = {name: median(values) for name, values in bench.rates.items()}
     return {
         **rates,
         "env_over_engine": median(bench.ratios),
         "ranges": {name: [min(values), max(values)] for name, values in bench.rates.items()},
         "share": _shares(rates),
-        "memory_per_env_kib": memory,
+        "memory_per_env_kib": memory_kib,
         "num_envs": config.num_envs,
         "num_steps": config.ppo.num_steps,
-        "threads": threads,
         "networks": list(config.ppo.hidden),
         "precision": config.ppo.precision,
         "terrain": list(config.terrain.families),
-        "rounds": rounds,
-        "device": str(env.device),
     }
 
 

@@ -67,6 +67,29 @@ class WarpPhysics:
         self._warp_device = wp.device_from_torch(self.device)
         template = build_template(robot, worlds, config)
         tables = differing_fields(template, worlds, _batched_fields())
+        self._build(robot, template, tables, network)
+        self._state = {name: wp.to_torch(getattr(self._data, name)) for name in STATE_FIELDS}
+        self._motor_state = self._motors.state() if self._motors else {}
+        self._state |= self._motor_state
+        self._sensors, self._torque = (wp.to_torch(getattr(self._data, n)) for n in ("sensordata", "actuator_force"))
+        self._overflow = wp.to_torch(self._data.overflow)
+        self._shared_loss = torch.zeros((), dtype=torch.bool, device=self.device)
+        self._bind_worlds(template, tables)
+        self._world_of_env = torch.zeros(num_envs, dtype=torch.long, device=self.device)
+        self._inactive = torch.zeros(0, dtype=torch.long, device=self.device)
+        self._steps = 0
+        self.place(torch.arange(num_envs, device=self.device), self._world_of_env.clone())
+        self._graph = self._capture()
+
+    def _build(
+        self,
+        robot: Robot,
+        template: mujoco.MjModel,
+        tables: dict[str, np.ndarray],
+        network: ActuatorNetwork | None,
+    ) -> None:
+        """Put model and data on the device, with the contact counter and the actuator network."""
+        num_envs, config = self.num_envs, self._config
         # MuJoCo Warp never resets a diverged robot and does not know the flag.
         template.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         with wp.ScopedDevice(self._warp_device):
@@ -82,18 +105,6 @@ class WarpPhysics:
         if template.nhfield:
             self._model.callback.contactfilter = drop_false_contacts
         self._model.opt.warn_overflow = 0  # reported below, and not by printing from the device
-        self._state = {name: wp.to_torch(getattr(self._data, name)) for name in STATE_FIELDS}
-        self._motor_state = self._motors.state() if self._motors else {}
-        self._state |= self._motor_state
-        self._sensors, self._torque = (wp.to_torch(getattr(self._data, n)) for n in ("sensordata", "actuator_force"))
-        self._overflow = wp.to_torch(self._data.overflow)
-        self._shared_loss = torch.zeros((), dtype=torch.bool, device=self.device)
-        self._bind_worlds(template, tables)
-        self._world_of_env = torch.zeros(num_envs, dtype=torch.long, device=self.device)
-        self._inactive = torch.zeros(0, dtype=torch.long, device=self.device)
-        self._steps = 0
-        self.place(torch.arange(num_envs, device=self.device), self._world_of_env.clone())
-        self._graph = self._capture()
 
     def _bind_worlds(self, template: mujoco.MjModel, tables: dict[str, np.ndarray]) -> None:
         """Pair each environment's values on the device with the table from which they are taken.
