@@ -1,4 +1,6 @@
-"""Checks data from JSON against types: the first value that does not fit is an error with its place in the file.
+"""Checks data from JSON against types. The first value that does not fit is an error with its place in the file.
+
+msgspec would leave out the names of keys from the place (`families[...].levels[2]`), and accept NaN without a range.
 
 A type is a TypedDict, `list[T]` (at least one), `tuple[T, ...]` (any number), `tuple[A, B]` (exactly these), `dict[str,
 T]`, `T | None`, `int`, `float`, `bool`, `str`, Any, or `Annotated` with a `Range`.
@@ -13,7 +15,7 @@ from arrive.errors import ArriveError
 from arrive.fields import Range
 
 ANY_NUMBER = Range(-1e15, 1e15)
-"""Of numbers without a range of their own. NaN and infinity are never valid."""
+"""The range of numbers without their own. NaN and infinity are never valid."""
 
 
 def check_data(hint: Any, value: Any, where: str = "") -> None:
