@@ -1,6 +1,7 @@
 """The program `arrive`. It also runs on a robot's computer without the libraries of the command line."""
 
-from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once, leave_unread
+from arrive.output import lost_output, make_output_last
+from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
 
 leave_at_once()  # before anything else is loaded
 
@@ -10,16 +11,20 @@ import sys  # noqa: E402
 
 def main() -> None:
     """Run a command. Only `verify` works with NumPy and onnxruntime alone."""
+    make_output_last()
     try:
         _run()
-        sys.stdout.flush()
     except KeyboardInterrupt:
         print("arrive: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
-    except BrokenPipeError:
-        leave_unread()
+    except SystemExit as stop:
+        if stop.code:
+            raise
     finally:
         leave_at_once()  # libraries are stopping their threads
+    if why := lost_output():
+        print(f"arrive: cannot write to standard output: {why}", file=sys.stderr)
+        sys.exit(1)
 
 
 def _run() -> None:

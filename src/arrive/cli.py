@@ -85,7 +85,7 @@ def main(arguments: list[str] | None = None) -> None:
         import_packages()
         _run(command)
     except (Exception, KeyboardInterrupt) as error:
-        if debug or isinstance(error, BrokenPipeError):
+        if debug:
             raise
         print(f"arrive: {shown(_one_line(error))}", file=sys.stderr)
         sys.exit(1)

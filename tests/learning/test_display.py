@@ -1,8 +1,7 @@
-"""The display of a training: in a terminal, in a pipe, and where the output is closed."""
+"""The display of a training: in a terminal and in a pipe."""
 
 import io
 import math
-import warnings
 
 import pytest
 from rich.console import Console
@@ -65,14 +64,3 @@ def test_a_pipe_gets_lines_at_intervals_and_the_last_one():
     assert [line.split(" |")[0] for line in lines] == ["title: runs/first", "iteration 1", "iteration 5"]
     assert "stairs 27 % level 1.5" in lines[-1]
     assert plain_line(make_report(5)).isascii()
-
-
-def test_a_closed_output_ends_the_display_and_not_the_training():
-    output = io.StringIO()
-    with TrainingDisplay("title", "folder", Console(file=output), line_every_s=0.0) as display:
-        output.close()
-        with pytest.warns(RuntimeWarning, match="display stopped"):
-            display.update(make_report(1))
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            display.update(make_report(2))

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from arrive.errors import ArriveError
+from arrive.learning.interrupt import interruptible
 from arrive.learning.logs import RunLog
 from arrive.learning.recovery import MAX_RECOVERIES
 from arrive.learning.trainer import Budget
@@ -118,9 +119,16 @@ def test_the_log_has_no_iteration_twice_after_going_back(tmp_path):
     assert [row["iteration"] for row in log_rows(tmp_path / "run")] == list("12345")
 
 
-@pytest.mark.parametrize("moment", ["collecting", "learning"])
-def test_an_interrupted_iteration_leaves_nothing_behind(tmp_path, moment):
-    """Ctrl-C within an iteration, then resumed: the same bits as a run that was left alone."""
+@pytest.mark.parametrize(
+    ("moment", "ending"),
+    [
+        ("collecting", (signal.SIGINT,)),
+        ("learning", (signal.SIGTERM, signal.SIGTERM)),
+        ("learning", (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM)),
+    ],
+)
+def test_an_interrupted_iteration_leaves_nothing_behind(tmp_path, moment, ending):
+    """Ctrl-C, `kill` or a closed terminal within an iteration, then resumed: the same bits as a run left alone."""
     run(make_trainer(tmp_path / "whole"), 5)
     stopped = make_trainer(tmp_path / "parts")
     owner, name, call = {
@@ -132,7 +140,8 @@ def test_an_interrupted_iteration_leaves_nothing_behind(tmp_path, moment):
     def interrupted(*args, **options):
         calls.append(name)
         if len(calls) == call:
-            signal.raise_signal(signal.SIGINT)
+            for number in ending:
+                signal.raise_signal(number)
         return function(*args, **options)
 
     setattr(owner, name, interrupted)
@@ -141,3 +150,23 @@ def test_an_interrupted_iteration_leaves_nothing_behind(tmp_path, moment):
     again.load()
     run(again, 5)
     assert differing(saved_state(tmp_path / "whole"), saved_state(tmp_path / "parts")) == []
+
+
+def test_signals_that_were_ignored_stay_ignored():
+    """As under `nohup`, where the run must outlive its terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with interruptible() as interrupted:
+            signal.raise_signal(signal.SIGHUP)
+            assert not interrupted()
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_second_ctrl_c_ends_at_once():
+    with interruptible() as interrupted:
+        signal.raise_signal(signal.SIGINT)
+        assert interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)

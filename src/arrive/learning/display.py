@@ -2,7 +2,6 @@
 
 import math
 import time
-import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +25,7 @@ TOP_FAILURES = 4
 
 
 class TrainingDisplay:
-    """Context manager that shows each report. If the terminal fails, the display ends and training continues."""
+    """Context manager that shows each report."""
 
     def __init__(self, title: str, folder: Path | str, console: Console | None = None, line_every_s: float = 10.0):
         """
@@ -42,7 +41,6 @@ class TrainingDisplay:
         self._live: Live | None = None
         self._last_line_s = -math.inf
         self._unprinted: IterationReport | None = None
-        self._failed = False
         self._warned: set[str] = set()
 
     def __enter__(self) -> "TrainingDisplay":
@@ -54,33 +52,16 @@ class TrainingDisplay:
             self._print(f"{self._title}: {self._folder}")
         return self
 
-    def update(self, report: IterationReport) -> None:
-        """Show one iteration."""
-        if self._failed:
-            return
-        try:
-            self._show(report)
-        except (OSError, ValueError) as error:  # the terminal is gone, closed, or cannot encode a character
-            self._give_up(error)
-
-    def _give_up(self, error: Exception) -> None:
-        self._failed = True
-        warnings.warn(f"the training display stopped: {error}", RuntimeWarning, stacklevel=3)
-
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._failed:
-            return
-        try:
-            if self._live is not None:
-                self._live.stop()
-            elif self._unprinted is not None:
-                self._print(plain_line(self._unprinted))
-        except (OSError, ValueError) as failure:
-            self._give_up(failure)
+        if self._live is not None:
+            self._live.stop()
+        elif self._unprinted is not None:
+            self._print(plain_line(self._unprinted))
 
-    def _show(self, report: IterationReport) -> None:
+    def update(self, report: IterationReport) -> None:
+        """Show one iteration."""
         if self._live is not None:
             unicode = self._console.encoding.lower().startswith("utf")
             self._live.update(panel(report, self._title, self._folder, BARS if unicode else ASCII_BARS), refresh=True)

@@ -72,7 +72,7 @@ class Trainer:
         self.state = TrainingState(config, env, ranks)
         self.recovery = Recovery(self.state, config.seed + ranks.seed_offset, folder, ranks)
         self.interrupted = False
-        """Whether Ctrl-C or SIGTERM ended the training before its budget was spent."""
+        """Whether a signal, such as that of Ctrl-C, ended the training before its budget was spent."""
 
     @property
     def algorithm(self) -> PPO:
@@ -88,8 +88,8 @@ class Trainer:
     ) -> None:
         """Train until the budget is spent.
 
-        All processes stop and save together, as soon as one of them should. Ctrl-C and SIGTERM end training after the
-        current iteration. A checkpoint is saved at the start too, so that a killed run can always be resumed.
+        All processes stop and save together, as soon as one of them should. Ctrl-C, SIGTERM and SIGHUP end training
+        after the current iteration. A checkpoint is saved at the start too, so that a killed run can always be resumed.
 
         Args:
             before_save: called before each checkpoint, to write other files to disk that must not be older than it.
