@@ -3,17 +3,20 @@
 import contextlib
 import json
 import random
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 
 from arrive.config import Config, to_dict
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, shown
 from arrive.learning.logs import read_log
 from arrive.learning.rundir import read_config
 from arrive.report.card import card_text
-from arrive.report.records import read_run
+from arrive.report.records import Run, read_run
+from arrive.report.text import markdown
 from arrive.report.write import write_report
 from arrive.results.read import read_result
 from small_results import RESULTS, damages, marked, refusal
@@ -33,19 +36,24 @@ OPTIONS = {"energy": "energy", "gait": "gait", "stability": "stability", "window
 """Name of each option's format."""
 
 
-def report(folder: Path, run: str = "run", mark: str = "", **results) -> str:
-    """The page of one run with all results."""
+def write_run(run_folder: Path, mark: str = "", **results) -> Run:
+    """A measured run."""
     contents = {kind: results.get(kind, make()) for kind, make in RESULTS.items()}
-    run_folder = folder / run
     run_folder.mkdir(exist_ok=True)
     (run_folder / "config.json").write_text(json.dumps(results.get("record", RECORD)))
     (run_folder / "log.csv").write_text(LOG)
     for kind in ("difficulty", "reach"):
         (run_folder / f"{kind}.json").write_text(json.dumps(marked(contents[kind], mark)))
+    return read_run(run_folder)
+
+
+def report(folder: Path, run: str = "run", mark: str = "", **results) -> str:
+    """The page of one run with all results."""
+    read = write_run(folder / run, mark, **results)
+    contents = {kind: results.get(kind, make()) for kind, make in RESULTS.items()}
     files = {option: folder / f"{kind}.json" for option, kind in OPTIONS.items()}
     for option, kind in OPTIONS.items():
         files[option].write_text(json.dumps(marked(contents[kind], mark)))
-    read = read_run(run_folder)
     assert card_text(read, with_curves=False)
     page, data = write_report([read], folder / "page.html", files)
     assert json.loads(data.read_text())["runs"][0]["difficulty"]["protocol"]["name"] == "difficulty"
@@ -73,6 +81,61 @@ def test_texts_from_files_stay_texts(tmp_path):
     assert Tags(page).found == Tags(clean).found
     assert "<script" not in page
     assert page.count("&lt;script&gt;alert(1)") > 30
+
+
+def rendered(text: str) -> tuple[list[str], str]:
+    """Tags and attributes of a card on a page, and the texts in it."""
+    page = Words(MarkdownIt("commonmark").enable(["table", "strikethrough"]).render(text))
+    return sorted(page.found), page.text
+
+
+class Words(Tags):
+    """Collects the texts too."""
+
+    text = ""
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.mark.parametrize(
+    "mark",
+    [
+        MARK,
+        "[x](http://evil)",
+        "![x](http://evil/x.png)",
+        "| a | b |",
+        "``` \n# x\n```\n",
+        "*a* __b__ ~~c~~ `d` _e_",
+        "\n\n# x\n- y\n",
+        "<http://evil> http://evil www.evil.org a@evil.org",
+        "\\",
+        "&lt;b&gt; &#42;",
+        "`",
+        "#",
+    ],
+)
+def test_texts_from_files_stay_texts_on_a_card(tmp_path, mark):
+    """In the run's name, its command, commit and preset, in results and in the names of failures."""
+    clean = rendered(card_text(write_run(tmp_path / "clean"), with_curves=False))
+    record = RECORD | {"commit": mark, "command": f"arrive {mark}", "config": RECORD["config"] | {"preset": mark}}
+    run = replace(write_run(tmp_path / "run", mark, record=record), name=shown(mark))
+    run.difficulty["families"]["gap"]["levels"][0]["failures"][mark] = 1
+    tags, words = rendered(card_text(run, with_curves=False))
+    assert tags == clean[0]
+    text = " ".join(shown(mark).split())
+    assert " ".join(words.split()).count(text) >= 8
+
+
+def test_a_card_of_plain_texts_has_no_escapes(tmp_path):
+    assert "\\" not in card_text(replace(write_run(tmp_path / "run"), name="wide_gap-2.1"), with_curves=False)
+
+
+def test_addresses_become_no_links():
+    """GitHub makes links of addresses without any markup."""
+    assert markdown("http://evil HTTPS://evil www.evil.org a@evil.org") == (
+        r"http\://evil HTTPS\://evil www\.evil.org a\@evil.org"
+    )
 
 
 def test_accepted_damaged_results_give_a_page(tmp_path):

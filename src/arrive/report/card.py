@@ -12,6 +12,7 @@ from arrive.files import write_text
 from arrive.policies import CURVES_NAME
 from arrive.report.reach import direction_table, distance_table, ground_words, protocol_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, Run
+from arrive.report.text import code_block, inline_code, markdown
 
 CARD_NAME = "card.md"
 
@@ -34,12 +35,12 @@ def card_text(run: Run, with_curves: bool) -> str:
     config = run.record["config"]
     minutes = run.log["progress/elapsed_s"][-1] / 60.0 if run.log.get("progress/elapsed_s") else float("nan")
     parts = [
-        f"# {run.name}",
-        f"{config['robot']}, task `{config['task']['name']}`, preset `{config['preset']}`, networks "
-        f"{'-'.join(map(str, config['ppo']['hidden']))}, trained on {', '.join(config['terrain']['families'])} for "
-        f"{run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, commit "
-        f"{run.record['commit']}:",
-        f"```sh\n{run.record['command']}\n```",
+        f"# {markdown(run.name)}",
+        f"{config['robot']}, task {inline_code(config['task']['name'])}, preset {inline_code(config['preset'])}, "
+        f"networks {'-'.join(map(str, config['ppo']['hidden']))}, trained on "
+        f"{', '.join(config['terrain']['families'])} for {run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, "
+        f"commit {markdown(run.record['commit'])}:",
+        code_block(run.record["command"], "sh"),
         *(_difficulty(run, run.difficulty) if run.difficulty else ()),
         *(_reach(run, run.reach) if run.reach else ()),
         *(_motion(run) if run.difficulty else ()),
@@ -54,7 +55,7 @@ def _difficulty(run: Run, measured: dict[str, Any]) -> list[str]:
     return [
         "## What it solves",
         f"`arrive eval --protocol difficulty`: {protocol['episodes']} episodes per level, seed {protocol['seed']}; "
-        f"success is {protocol['success'].partition(';')[0]}. Commit {measured['commit']}.",
+        f"success is {markdown(protocol['success'].partition(';')[0])}. Commit {markdown(measured['commit'])}.",
         _solved(run),
         *(_family(run, name, results) for name, results in run.results().items()),
     ]
@@ -66,15 +67,16 @@ def _reach(run: Run, measured: dict[str, Any]) -> list[str]:
     parts = [
         "## Where and by when it arrives",
         f"`arrive eval --protocol reach`: {protocol['episodes']} episodes per row, seed {protocol['seed']}, "
-        f"{protocol['layout']} layout; success is {protocol['success']}, with 95 % intervals. Distances are "
-        f"{protocol['by_distance']}; directions: {protocol['by_direction']}. Commit {measured['commit']}.",
+        f"{markdown(protocol['layout'])} layout; success is {markdown(protocol['success'])}, with 95 % intervals. "
+        f"Distances are {markdown(protocol['by_distance'])}; directions: {markdown(protocol['by_direction'])}. "
+        f"Commit {markdown(measured['commit'])}.",
     ]
     for name, entry in measured["families"].items():
-        parts.append(f"### {ground_words(name, entry)}")
+        parts.append(f"### {markdown(ground_words(name, entry))}")
         if compared := protocol_words(run.difficulty, name, entry):
-            parts.append(compared)
+            parts.append(markdown(compared))
         parts += [_table(*distance_table(entry)), _table(*direction_table(entry))]
-        parts.append(f"Waiting: {waiting_words(entry['waiting'])}.")
+        parts.append(f"Waiting: {markdown(waiting_words(entry['waiting']))}.")
     return parts
 
 
@@ -118,5 +120,6 @@ def _motion_table(run: Run) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
+    """A table; its head may have markup, its rows are texts."""
+    lines = [head, ["---"] * len(head), *(map(markdown, row) for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
