@@ -206,6 +206,30 @@ def test_an_installed_package_needs_no_import(tmp_path, monkeypatch, capsys):
             "register_terrain(replace(get_family('gap'), name='my gap'))",
             "'my gap' is not a valid terrain name",
         ),
+        ("import sys\nsys.exit()", "--import mine.py failed: the module ends the program"),
+        *(
+            (
+                "from dataclasses import replace\nfrom arrive.robots import get_robot, register_robot\n"
+                "go2 = get_robot('go2')\n"
+                f"register_robot(replace(go2, name='mine', {change}))",
+                problem,
+            )
+            for change, problem in (
+                ("size=0.0", "size must be a finite number above 0, not 0.0"),
+                ("standing_height=float('nan')", "standing_height must be a finite number above 0, not nan"),
+                ("foot_sites=(), foot_bodies=()", "foot_sites names no foot"),
+                ("motors=(None,) * 12", "motors must be of the class Motor"),
+                (
+                    "motors=(replace(go2.motors[0], no_load_speed=0.0),) * 12",
+                    "no_load_speed must be a finite number above 0, not 0.0",
+                ),
+                (
+                    "motors=(replace(go2.motors[0], stall_torque=1.0),) * 12",
+                    "stall_torque must be at least effort_limit",
+                ),
+                ("build_spec=lambda visuals: None", "build_spec must return an MjSpec, not NoneType"),
+            )
+        ),
     ],
 )
 def test_a_bad_module_is_one_line(tmp_path, capsys, code, problem):
@@ -213,8 +237,71 @@ def test_a_bad_module_is_one_line(tmp_path, capsys, code, problem):
     assert problem in refused(capsys, "list", "robots", "--import", "mine.py")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        (
+            "    return spec",
+            "    spec.add_mesh(name='m', file='gone.stl') if visuals else 0\n    return spec",
+            "gone.stl",
+        ),
+        ("        collide(foot, ", "        (lambda *a, **b: 0)(foot, ", "the foot 'LF_FOOT' has no geom that touches"),
+        (
+            'add_hinge(hip, f"{leg}_ROLL", (1, 0, 0), (-0.8, 0.8))',
+            'hip.add_joint(name=f"{leg}_ROLL", axis=(1, 0, 0))',
+            "LF_ROLL has no range",
+        ),
+        (
+            "    return spec",
+            "    spec.add_actuator(name='a', target='LF_ROLL', trntype=mujoco.mjtTrn.mjTRN_JOINT)\n    return spec",
+            "its model must have no actuators",
+        ),
+    ],
+)
+def test_a_bad_model_is_one_line(tmp_path, capsys, old, new, problem):
+    guide = (tmp_path / "pup.py").read_text()
+    assert old in guide
+    (tmp_path / "pup.py").write_text(guide.replace(old, new))
+    assert problem in refused(capsys, "list", "robots", "--import", "pup.py")
+
+
+@pytest.mark.parametrize(
+    ("task", "old", "new", "problem"),
+    [
+        (
+            "calm",
+            ".square().sum(-1)",
+            ".square()",
+            "the reward 'tilt_cost' must return a tensor of the shape (16,), not (16, 2)",
+        ),
+        ("calm", "return state.gravity_b", "state.gravity_b", "shape (16,), not NoneType"),
+        ("calm", "state.gravity_b", "state.gravty_b", "calm.py, line 12: AttributeError: 'State' object has no"),
+        (
+            "tall",
+            "[:, 2:3]",
+            "[:, 0:2]",
+            "observation 'base_height' must be a tensor of the shape (16, 1), not (16, 2)",
+        ),
+        ("tall", '("z",), 2.0', '("z",), 0.0', "needs a finite scale other than 0"),
+        ("tall", "((0, 1.0),)", "((1, 1.0),)", "a reflection of the observation 'base_height' must name every entry"),
+        ("tall", 'register_term("base_height"', '("base_height"', "unknown observation 'base_height'"),
+        ("halt", "        outcome = super()", "        return None\n        outcome = super()", "perhaps in halt: "),
+    ],
+)
+def test_a_fault_of_a_module_while_it_trains_is_one_line(tmp_path, capsys, task, old, new, problem):
+    """It says where in the module, and not that it should be reported."""
+    guide = (tmp_path / f"{task}.py").read_text()
+    assert old in guide
+    (tmp_path / f"{task}.py").write_text(guide.replace(old, new))
+    told = refused(capsys, "train", "flat", "--task", task, *RUN, "--import", f"{task}.py")
+    assert problem in told
+    assert "please report" not in told
+
+
 def test_a_missing_module_is_one_line(tmp_path, capsys):
     assert "there is no such file" in refused(capsys, "list", "--import", "gone.py")
     assert "ModuleNotFoundError" in refused(capsys, "list", "--import", "gone")
+    for name in ("..", "a..b", "", "--", "torch/"):
+        assert f"--import {name!r}: name a file that ends in .py" in refused(capsys, "list", "--import", name)
     (tmp_path / "json.py").write_text("")
     assert "a module named 'json' is already loaded" in refused(capsys, "list", "--import", "json.py")

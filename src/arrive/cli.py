@@ -27,7 +27,7 @@ from arrive.commands.options import (
 )
 from arrive.errors import ArriveError, shown
 from arrive.neighbours import wait_considerately
-from arrive.plugins import import_module, import_packages
+from arrive.plugins import blamed, import_module, import_packages
 from arrive.startup import interrupt_again
 
 DEBUG = "--debug"
@@ -139,8 +139,10 @@ def _one_line(error: BaseException) -> str:
         return f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
     if isinstance(error, MemoryError):
         return "not enough memory for this; choose fewer robots (--num-envs), steps or episodes"
-    text = " ".join(str(error).split())
-    return f"unexpected {type(error).__name__}: {text:.300}. {DEBUG} shows where; please report it."
+    fault = f"{type(error).__name__}: {' '.join(str(error).split()):.300}"
+    if where := blamed(error):
+        return f"{where}: {fault}. {DEBUG} shows the traceback."
+    return f"unexpected {fault}. {DEBUG} shows where; please report it."
 
 
 def _run(command: AnyCommand) -> None:

@@ -6,7 +6,9 @@ A module registers its parts when it is imported. A package that lists its modul
 
 import importlib
 import importlib.util
+import re
 import sys
+import traceback
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +17,9 @@ from arrive.errors import ArriveError
 
 GROUP = "arrive.plugins"
 """Entry-point group of packages whose modules are imported by every command."""
+
+MODULE = re.compile(r"\w+(\.\w+)*")
+"""The dotted name of a module."""
 
 _imported: dict[str, str] = {}
 
@@ -39,12 +44,16 @@ def import_module(source: str) -> ModuleType:
         return sys.modules[name]
     if path.suffix == ".py" and not path.is_file():
         raise ArriveError(f"--import {source}: there is no such file")
+    if path.suffix != ".py" and not MODULE.fullmatch(source):
+        raise ArriveError(f"--import {source!r}: name a file that ends in .py, or an installed module as a.b")
     if path.suffix == ".py" and name in sys.modules:
         raise ArriveError(f"--import {source}: a module named {name!r} is already loaded; rename the file")
     try:
         module = _run_file(name, path) if path.suffix == ".py" else importlib.import_module(source)
     except ArriveError as error:
         raise ArriveError(f"--import {source}: {error}") from error
+    except SystemExit as stop:
+        raise ArriveError(f"--import {source} failed: the module ends the program (SystemExit: {stop.code})") from stop
     except Exception as error:  # whatever a user's module raises
         raise ArriveError(f"--import {source} failed: {type(error).__name__}: {error}") from error
     _imported[name] = str(path.resolve()) if path.suffix == ".py" else source
@@ -83,6 +92,15 @@ def import_packages() -> None:
                 f"{type(error).__name__}: {error}. Fix or uninstall it."
             ) from error
         _imported[point.value] = f"package {package}"
+
+
+def blamed(error: BaseException) -> str:
+    """Where an error arose in an imported module, or else which modules may be at fault; empty if there are none."""
+    files = {sys.modules[name].__file__: name for name in _imported if name in sys.modules}
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename in files:
+            return f"{frame.filename}, line {frame.lineno}"
+    return f"perhaps in {', '.join(_imported)}" if _imported else ""
 
 
 def require(modules: dict[str, str], whose: Path) -> None:

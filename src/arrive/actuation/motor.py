@@ -1,7 +1,8 @@
 """PD tracking of a joint target by a motor whose torque falls with speed."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import mujoco
@@ -31,6 +32,17 @@ class Motor:
     """Speed at which the affine line reaches zero torque [rad/s]."""
     rotor_inertia: float
     """Inertia that the rotor adds to the joint: its own times the gear ratio squared [kg m^2]."""
+
+    def problem(self) -> str:
+        """What is wrong with its figures, or an empty string."""
+        for field in fields(self):
+            value, least = getattr(self, field.name), field.name in ("damping", "rotor_inertia")
+            sound = isinstance(value, int | float) and 0.0 <= value < math.inf and (least or value > 0.0)
+            if not sound:
+                return f"{field.name} must be a finite number {'of at least' if least else 'above'} 0, not {value!r}"
+        if self.stall_torque < self.effort_limit:
+            return f"stall_torque must be at least effort_limit, {self.effort_limit:g} N m, not {self.stall_torque:g}"
+        return ""
 
     def asks(self, error_rad: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """The torque that PD asks for, before any limit [N m].

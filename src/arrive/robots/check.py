@@ -13,14 +13,22 @@ def check_model(robot: Robot) -> None:
         ArriveError: it does not compile, or a name, the order of joints, a mass, a range or a geom is not as it must
             be; the message names the first.
     """
-    try:
-        model = robot.build_spec(False).compile()
-    except ValueError as error:
-        raise ArriveError(f"robot {robot.name!r} does not compile: {' '.join(str(error).split())}") from error
+    _compiled(robot, True)  # what only pictures need fails now too, and not after a training
+    model = _compiled(robot, False)
     _check_names(robot, model)
     problem = _problem(robot, model)
     if problem:
         raise ArriveError(f"robot {robot.name!r}: {problem}")
+
+
+def _compiled(robot: Robot, visuals: bool) -> mujoco.MjModel:
+    spec = robot.build_spec(visuals)
+    if not isinstance(spec, mujoco.MjSpec):
+        raise ArriveError(f"robot {robot.name!r}: build_spec must return an MjSpec, not {type(spec).__name__}")
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ArriveError(f"robot {robot.name!r} does not compile: {' '.join(str(error).split())}") from error
 
 
 def _check_names(robot: Robot, model: mujoco.MjModel) -> None:
@@ -48,6 +56,8 @@ def _problem(robot: Robot, model: mujoco.MjModel) -> str:
         return "every joint but the first must be a hinge"
     for name, position in zip(joints, robot.default_joint_pos, strict=True):
         low, high = model.joint(name).range
+        if not low < high:
+            return f"{name} has no range"
         if not low <= position <= high:
             return (
                 f"the default position of {name}, {position:g} rad, is outside its range {low:g} to {high:g} rad; "
@@ -58,4 +68,9 @@ def _problem(robot: Robot, model: mujoco.MjModel) -> str:
     touching = model.geom_contype > 0
     if (model.geom_contype[touching] != 1).any() or (model.geom_conaffinity[touching] != 0).any():
         return "geoms that touch the terrain must have contype 1 and conaffinity 0"
+    for name in robot.foot_bodies:
+        if not touching[model.geom_bodyid == model.body(name).id].any():
+            return f"the foot {name!r} has no geom that touches the terrain, with contype 1"
+    if model.nu:
+        return "its model must have no actuators; they are made from `motors`"
     return ""

@@ -1,5 +1,6 @@
 """The description of a robot that the rest of the software needs."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -59,8 +60,8 @@ class Robot:
         """Refuse what does not fit together.
 
         Raises:
-            ArriveError: a list of another length than the joints or feet, a body with two roles, or a mirror map that
-                does not undo itself.
+            ArriveError: a list of another length than the joints or feet, no foot, a body with two roles, a mirror map
+                that does not undo itself, or a figure that is not finite or has the wrong sign.
         """
         problem = self._problem()
         if problem:
@@ -103,6 +104,16 @@ class Robot:
                 return f"{name} has {len(getattr(self, name))} entries where {size} are needed"
         if len(set(joints)) != len(joints):
             return "joint_names has a name twice"
+        if not feet:
+            return "foot_sites names no foot"
+        for name in ("standing_height", "size", "mass", "action_scale"):
+            if not _is_above_0(getattr(self, name)):
+                return f"{name} must be a finite number above 0, not {getattr(self, name)!r}"
+        for joint, motor in zip(joints, self.motors, strict=True):
+            if not isinstance(motor, Motor):
+                return f"motors must be of the class Motor, not {motor!r}"
+            if problem := motor.problem():
+                return f"the motor of {joint}: {problem}"
         roles = {name: getattr(self, name) for name in ("crash_bodies", "collision_bodies", "foot_bodies")}
         seen: dict[str, str] = {}
         for role, bodies in roles.items():
@@ -121,3 +132,7 @@ class Robot:
                 if place[partner] != (joint, sign):
                     return f"{name} does not undo itself: {joint} goes to {partner}, which goes to {place[partner][0]}"
         return ""
+
+
+def _is_above_0(value: object) -> bool:
+    return isinstance(value, int | float) and 0.0 < value < math.inf

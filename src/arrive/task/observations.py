@@ -1,5 +1,6 @@
 """Observations: named terms in a fixed order. Sizes, scales, noise and mirror maps are computed from them."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -7,6 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from arrive.errors import ArriveError, unknown_name
 from arrive.fields import NotNegative, Share
 from arrive.robots.robot import Robot
 from arrive.task.heights import HeightGrid, HeightsConfig
@@ -74,6 +76,24 @@ class ObservationTerm:
     """Computes the term from the state and the task's own command."""
     reference: str = ""
     """Text added to the term's frame, where it depends on the robot."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ArriveError: an unknown name, a scale of 0 or that is not finite, a noise below 0, or a reflection that does
+                not take every entry once.
+        """
+        if self.name not in TERMS:
+            raise unknown_name("observation", self.name, TERMS)
+        if not (math.isfinite(self.scale) and self.scale and 0.0 <= self.noise < math.inf):
+            raise ArriveError(
+                f"the observation {self.name!r} needs a finite scale other than 0 and a noise of at least 0, "
+                f"not {self.scale!r} and {self.noise!r}"
+            )
+        for entries in (self.mirror, self.reverse):
+            if sorted(source for source, _ in entries) != list(range(self.size)):
+                raise ArriveError(f"a reflection of the observation {self.name!r} must name every entry once")
 
     @property
     def meaning(self) -> TermMeaning:
@@ -181,7 +201,7 @@ class Observer:
 
     def observe(self, state: State, command: Command, generator: torch.Generator) -> Tensor:
         """(n, size) scaled observation, with noise if this observer adds noise."""
-        clean = torch.cat([term.compute(state, command) for term in self.terms], dim=-1) * self._scale
+        clean = torch.cat([_entries(term, state, command) for term in self.terms], dim=-1) * self._scale
         if not self._noisy:
             return clean
         noise = torch.rand(clean.shape, generator=generator, device=clean.device).mul_(2.0).sub_(1.0)
@@ -220,3 +240,16 @@ class Observer:
     def column(self, name: str, entry: int) -> int:
         """Index in the observation of an entry of a term."""
         return next(row["start"] for row in self.schema() if row["name"] == name) + entry
+
+
+def _entries(term: ObservationTerm, state: State, command: Any) -> Tensor:
+    """(n, size) values of a term.
+
+    Raises:
+        ArriveError: its function returned something else.
+    """
+    value, shape = term.compute(state, command), (len(state.base_pos_w), term.size)
+    if not isinstance(value, Tensor) or value.shape != shape:
+        found = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+        raise ArriveError(f"the observation {term.name!r} must be a tensor of the shape {shape}, not {found}")
+    return value

@@ -264,12 +264,20 @@ class Rewarder:
         terms: dict[str, Tensor] = {}
         for name, function in self.terms.items():
             weight = self._weights[name] * (exploration if name == "exploration" else 1.0) * self._dt
-            terms[name] = function(state, command) * weight
+            terms[name] = _per_robot(name, function(state, command), state.finite) * weight
         if self._pays_crashes:
             terms[CRASH_COST] = crash_cost(failed) * self.crash_cost
         if not bool(state.finite.all()):
             terms = {name: torch.where(state.finite, value, 0.0) for name, value in terms.items()}
         return terms
+
+
+def _per_robot(name: str, value: Any, robots: Tensor) -> Tensor:
+    """What a term's function returned, if it is one number per robot."""
+    if not isinstance(value, Tensor) or value.shape != robots.shape:
+        found = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+        raise ArriveError(f"the reward {name!r} must return a tensor of the shape {tuple(robots.shape)}, not {found}")
+    return value
 
 
 def bound(name: str, task: Any) -> Callable[[State, Any], Tensor]:

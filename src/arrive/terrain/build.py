@@ -49,7 +49,7 @@ def _ground_problem(tile: Tile, size: float) -> str:
     if num_geoms > MAX_GEOMS:
         return f"it has {num_geoms} geoms; at most {MAX_GEOMS} are allowed"
     if not (tile.heights > DEEP_FLOOR).all():
-        return f"{(tile.heights <= DEEP_FLOOR).sum()} cells of the raster have no ground"
+        return f"{np.count_nonzero(~(tile.heights > DEEP_FLOOR))} cells of the raster have no ground"
     x, y = cell_grid()
     start = tile.heights[np.hypot(x, y) <= START_RADIUS * size]
     if np.abs(start).max() > 1e-6:
