@@ -139,6 +139,9 @@ class TestLogs:
             (7, 3, "9" * 5000, f"row 9, column velocity: '{'9' * 59} is no finite number"),
             (5, 0, 0.035, "row 7, column time: 0.015 s after the row before, where the period is 0.005 s"),
             (5, 0, 0.02, "row 7, column time: 0 s after the row before"),
+            (3, 4, "1_0", "row 5, column torque: '1_0' is no finite number"),
+            (3, 4, 1e30, "row 5, column torque: 1e.30 is beyond 100000: is it in another unit?"),
+            (3, 2, -5730.0, "row 5, column position: -5730 is beyond 1000: is it in another unit?"),
         ],
     )
     def test_a_bad_value_is_named_with_its_row(self, row, column, value, message, tmp_path):
@@ -160,6 +163,7 @@ class TestLogs:
             ),
             ([*good_rows(), [0.1, 0.2]], COLUMNS, "row 22: 2 values where the header has 5 columns"),
             ([], COLUMNS, "no rows below the header"),
+            ([[0.0, *row] for row in good_rows()], ("time", *COLUMNS), "more than one column time"),
             (good_rows(1), COLUMNS, "a single row is no log"),
         ):
             write_csv(path, rows, header)
@@ -183,6 +187,9 @@ class TestLogs:
             read_logs([path], PERIOD)
         np.savez(path, **arrays | {"torque": arrays["torque"][:, :2]})
         with pytest.raises(ArriveError, match=r"column torque is \(40, 2\), where target is \(40, 3\)"):
+            read_logs([path], PERIOD)
+        np.savez(path, **{name: array[:0] for name, array in arrays.items()})
+        with pytest.raises(ArriveError, match="its columns are empty"):
             read_logs([path], PERIOD)
         path.write_bytes(b"PK nothing")
         with pytest.raises(ArriveError, match="cannot read"):

@@ -76,7 +76,6 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert "name at least one network" in refused(capsys, "actuator", "show")
     assert "no such file" in refused(capsys, "actuator", "show", "drive.safetensors")
     assert "cannot read" in refused(capsys, "actuator", "fit", "nothing.csv")
-    assert "must end in .npz or .csv" in refused(capsys, "actuator", "record", "-o", "log.txt")
     assert "a multiple of 0.0002" in refused(capsys, "actuator", "record", "--period-s", "0.0005001")
     assert "--epochs must be at least 1" in refused(capsys, "actuator", "fit", "log.npz", "--epochs", "0")
     cli.main(["actuator", "record", "-o", "log.npz", "--joints", "5", "--seconds", "1.5"])
@@ -84,6 +83,27 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     network = ["physics.motor=network", "physics.motor_file=gone.safetensors"]
     assert "gone.safetensors: no such file" in refused(capsys, "train", "flat", "--set", *network)
     assert "go together" in refused(capsys, "train", "flat", "--set", network[0])
+
+
+@pytest.mark.parametrize(
+    ("words", "suffix"),
+    [
+        (("actuator", "record", "-o", "kept.txt"), ".npz or .csv"),
+        (("actuator", "fit", "log.npz", "-o", "kept.txt"), ".safetensors"),
+        (("actuator", "show", "drive.safetensors", "-o", "drive.safetensors"), ".png"),
+        (("actuator", "import", "arrays.npz", "-o", "arrays.npz"), ".safetensors"),
+        (("export", "run", "-o", "run/policy.pt"), ".onnx"),
+        (("eval", "run", "--json", "run/log.csv"), ".json"),
+        (("energy", "run", "--json", "energy.png"), ".json"),
+        (("gait", "run", "--json", "gait"), ".json"),
+        (("report", "run", "--out", "run/log.csv"), ".html or .htm"),
+        (("drive", "--log", "run/policy.pt"), ".npz"),
+        (("showreel", "-o", "film.mp4"), ".webp"),
+        (("bench", "flat", "--json", "kept.txt"), ".json"),
+    ],
+)
+def test_a_slip_replaces_no_file_of_another_kind(capsys, words, suffix):
+    assert f"must be a file that ends in {suffix}, not {words[-1]}" in refused(capsys, *words)
 
 
 def test_import_writes_a_network(tmp_path):

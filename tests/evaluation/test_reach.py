@@ -226,6 +226,12 @@ def test_a_shorter_result_does_not_replace_a_longer_one(tmp_path):
     keep_longer(path, 99, force=True)
 
 
+def test_a_result_does_not_replace_a_run_s_configuration(tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({"config": {}, "seed": 1}))
+    with pytest.raises(ArriveError, match=r"config.json holds something else than a result"):
+        keep_longer(tmp_path / "config.json", 500, force=False)
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A run of one iteration."""

@@ -17,6 +17,8 @@ COLUMNS = ("time", "target", "position", "velocity", "torque")
 """Seconds, radians, radians, rad/s and N m of the joint."""
 JOINT = "joint"
 """Column of a CSV file with the joint's name. Without it, a file is one joint."""
+LARGEST = {"target": 1e3, "position": 1e3, "velocity": 1e4, "torque": 1e5}
+"""Larger values are no drive's, or are in another unit, in the units of `COLUMNS`."""
 JITTER = 0.1
 """Periods may differ from their median by this share."""
 
@@ -110,6 +112,8 @@ def _read_npz(path: Path) -> dict[str, _Columns]:
     for name, array in arrays.items():
         if array.shape != shape:
             raise ArriveError(f"{path}: column {name} is {array.shape}, where target is {shape}")
+    if not time.size or not arrays["target"].size:
+        raise ArriveError(f"{path}: its columns are empty")
     tables = {name: array.reshape(len(time), -1) for name, array in arrays.items()}
     rows = np.arange(len(time))
     for name, table in (("time", time[:, None]), *tables.items()):
@@ -122,6 +126,9 @@ def _read_npz(path: Path) -> dict[str, _Columns]:
 
 
 def _need_columns(path: Path, names: list[str]) -> None:
+    repeated = [name for name in COLUMNS if names.count(name) > 1]
+    if repeated:
+        raise ArriveError(f"{path}: more than one column {', '.join(repeated)}")
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         raise ArriveError(f"{path}: no column {', '.join(missing)}; it has {', '.join(names)[:200] or 'none'}")
@@ -129,7 +136,7 @@ def _need_columns(path: Path, names: list[str]) -> None:
 
 def _number(path: Path, row: int, name: str, text: str) -> float:
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -141,6 +148,13 @@ def _trajectory(path: Path, joint: str, columns: _Columns, period_s: float) -> T
     """Every so many samples of a joint, after a look at its clock."""
     name = f"{path}:{joint}" if joint else str(path)
     every = _every(path, columns, period_s)
+    for column, most in LARGEST.items():
+        wrong = np.flatnonzero(np.abs(columns.values[column]) > most)
+        if len(wrong):
+            row, value = columns.rows[wrong[0]], columns.values[column][wrong[0]]
+            raise ArriveError(
+                f"{path}, row {row}, column {column}: {value:g} is beyond {most:g}: is it in another unit?"
+            )
     parts = (columns.values[column][::every] for column in COLUMNS[1:])
     return Trajectory(name, period_s, *parts)
 
@@ -163,6 +177,6 @@ def _every(path: Path, columns: _Columns, period_s: float) -> int:
     if every < 1 or abs(every * mean / period_s - 1.0) > 0.01:
         raise ArriveError(
             f"{path}, column time: the period of {mean:.6g} s does not divide the {period_s:g} s that are wanted; "
-            "choose another --period"
+            "choose another --period-s"
         )
     return every

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from arrive.commands.limits import COUNT, INDEX, POSITIVE, SEED
+from arrive.commands.limits import COUNT, INDEX, NETWORK, PICTURE, POSITIVE, SEED, Suffix
 from arrive.errors import ArriveError
 from arrive.fields import Range
 
@@ -29,7 +29,7 @@ BYTES_PER_SAMPLE = 80
 class Record:
     """Log a simulated series-elastic drive under excitation, so that fitting can be tried without hardware."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive_log.npz")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), Suffix((".npz", ".csv"))] = Path("drive_log.npz")
     """File to write, .npz or .csv."""
     joints: Annotated[int, COUNT] = 40
     """Number of joints, simulated in parallel, each with its own load."""
@@ -47,7 +47,7 @@ class Fit:
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV or NPZ files with time [s], target, position [rad], velocity [rad/s] and torque [N m]."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), NETWORK] = Path("drive.safetensors")
     """File to write. A picture of predicted and measured torque is written beside it."""
     period_s: Annotated[float, PERIOD] = 0.005
     """Physics step of the simulation that will use the network; a multiple of the logs' period [s]."""
@@ -77,7 +77,7 @@ class Show:
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """Files written by `arrive actuator fit`."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("motors.png")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), PICTURE] = Path("motors.png")
     """Picture to write."""
     clip: Literal["affine", "constant", "none"] = "affine"
     """How the networks' torque is clipped, as in `physics.motor_clip`."""
@@ -95,7 +95,7 @@ class Import:
 
     file: tyro.conf.Positional[Path]
     """NPZ file with `lstm.*`, `linear.*`, `in_scale` and `out_scale`."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drive.safetensors")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), NETWORK] = Path("drive.safetensors")
     """File to write."""
     period_s: Annotated[float, PERIOD] = 0.005
     """Time between two calls of the network [s]."""
@@ -144,8 +144,6 @@ def record(options: Record) -> None:
     if not (samples >= 2 and round(fine) >= 1 and math.isclose(fine, round(fine), rel_tol=1e-6)):
         raise ArriveError(f"--period-s must be a multiple of {FINE_STEP_S:g}, and --seconds at least two periods")
     steps = round(samples)
-    if options.out.suffix not in (".npz", ".csv"):
-        raise ArriveError(f"{options.out}: the name of a log must end in .npz or .csv")
     check_room(options.joints * steps, BYTES_PER_SAMPLE, "samples", "--joints or --seconds")
     rng = np.random.default_rng(options.seed)
     targets = excite(rng, steps, options.joints, options.period_s)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from arrive.commands.limits import COUNT, INDEX, POSITIVE, SEED
+from arrive.commands.limits import COUNT, INDEX, JSON, POSITIVE, SEED, Suffix
 from arrive.fields import Range
 
 
@@ -94,7 +94,7 @@ class Eval:
     """CPU threads; 0 takes every CPU."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to simulate; `auto` takes an NVIDIA GPU if one can be used."""
-    json: Path | None = None
+    json: Annotated[Path | None, JSON] = None
     """JSON file for the result. By default `difficulty` over all levels writes difficulty.json, and `reach` writes
     reach.json, beside each policy."""
     pictures: Path | None = None
@@ -123,7 +123,7 @@ class Report:
     """Result of benchmarks/stability.py; the one under runs/stability/ by default, if it is there."""
     window: Path | None = None
     """Result of benchmarks/time_window.py; the one under runs/time_window/ by default, if it is there."""
-    out: Path = Path("report.html")
+    out: Annotated[Path, Suffix((".html", ".htm"))] = Path("report.html")
     """File for the page. The JSON file has the same name with the suffix .json."""
 
 
@@ -145,7 +145,7 @@ class Energy:
     """Seed of friction, payload, starts and noise."""
     threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
-    json: Path = Path("energy.json")
+    json: Annotated[Path, JSON] = Path("energy.json")
     """File for the result; the picture has the same name and ends in .png."""
     force: bool = False
     """Replace the result of a longer measurement."""
@@ -172,7 +172,7 @@ class Gait:
     """Seed of friction, payload, starts and noise."""
     threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
-    json: Path = Path("gait.json")
+    json: Annotated[Path, JSON] = Path("gait.json")
     """File for the result; the picture has the same name and ends in .png."""
     force: bool = False
     """Replace the result of a longer measurement."""
@@ -194,7 +194,7 @@ class Drive:
     script: Path | None = None
     """CSV file of stick positions with the columns time_s, forward, left, heading_rad. It runs as fast as the machine
     can."""
-    log: Path | None = None
+    log: Annotated[Path | None, Suffix((".npz",))] = None
     """File (.npz) for all inputs and commands of the controller, for replay."""
     seed: Annotated[int, SEED] = 1
     """Seed of random terrain."""
@@ -232,7 +232,7 @@ class Showreel:
     policies: tyro.conf.Positional[tuple[str, ...]] = ()
     """Policies, as for `arrive eval`, each on the terrain on which `arrive play` opens it. Default: for every terrain,
     the shipped policy that solves the hardest value."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("showreel.webp")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), Suffix((".webp",))] = Path("showreel.webp")
     """File to write, at most 3 MB."""
 
 
@@ -242,7 +242,7 @@ class Export:
 
     policy: tyro.conf.Positional[Path]
     """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("policy.onnx")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), Suffix((".onnx",))] = Path("policy.onnx")
     """File to write."""
 
 
@@ -280,7 +280,7 @@ class Bench:
     """Measure the deployment controller instead: latency of a step on one core, and memory."""
     policy: tuple[Path, ...] = ()
     """Exported files to measure with `--deployment`, besides networks of the paper's size with random weights."""
-    json: Path | None = None
+    json: Annotated[Path | None, JSON] = None
     """JSON file for the result."""
 
 

@@ -15,11 +15,14 @@ def keep_longer(path: Path, effort: float, force: bool) -> None:
         force: replace the result anyway.
 
     Raises:
-        ArriveError: the result at `path` is from a longer measurement.
+        ArriveError: the result at `path` is from a longer measurement, or the file holds no result at all.
     """
     if force or not path.is_file():
         return
-    before = effort_of(read_json(path))
+    content = read_json(path)
+    if "protocol" not in content:
+        raise ArriveError(f"{path} holds something else than a result; give --json for another file")
+    before = effort_of(content)
     if effort < before:
         raise ArriveError(
             f"{path} holds a longer measurement ({before:,.0f} against {effort:,.0f} episodes or metres); "

@@ -38,8 +38,8 @@ def card_text(run: Run, with_curves: bool) -> str:
         f"# {markdown(run.name)}",
         f"{config['robot']}, task {inline_code(config['task']['name'])}, preset {inline_code(config['preset'])}, "
         f"networks {'-'.join(map(str, config['ppo']['hidden']))}, trained on "
-        f"{', '.join(config['terrain']['families'])} for {run.amount}, in {minutes:.0f} minutes, seed {config['seed']}, "
-        f"commit {markdown(run.record['commit'])}:",
+        f"{', '.join(config['terrain']['families'])} for {run.amount}, in {minutes:.0f} minutes, "
+        f"seed {config['seed']}, commit {markdown(run.record['commit'])}:",
         code_block(run.record["command"], "sh"),
         *(_difficulty(run, run.difficulty) if run.difficulty else ()),
         *(_reach(run, run.reach) if run.reach else ()),

@@ -31,8 +31,6 @@ def write_report(runs: Sequence[Run], out: Path, files: dict[str, Path | None] |
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ArriveError(f"two runs are called {', '.join(repeated)}; rename a folder to tell them apart")
-    if out.suffix == ".json":
-        raise ArriveError(f"--out names the page, not its JSON file: {out}")
     results = read_results(files or {})
     content = make_content(runs) | {name: value for name, value in vars(results).items() if value is not None}
     written = (out, out.with_suffix(".json"))
