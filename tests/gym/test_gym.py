@@ -284,8 +284,9 @@ def test_a_single_environment_ends_with_its_result():
     with pytest.raises(ArriveError, match="call reset"):
         env.step(np.zeros(12))
     env.reset()
-    with pytest.raises(ArriveError, match=r"\(12,\)"):
-        env.step(np.zeros((1, 12)))
+    for action in (np.zeros((1, 12)), "x"):
+        with pytest.raises(ArriveError, match=r"must be \(12,\) finite"):
+            env.step(action)
 
 
 def test_bounds_of_actions_are_finite():
@@ -346,3 +347,63 @@ def test_stable_baselines_gets_the_last_observation_of_an_episode():
     for robot, told in enumerate(infos):
         assert told["TimeLimit.truncated"]
         np.testing.assert_array_equal(told["terminal_observation"], info["final_obs"][robot])
+
+
+def test_numbers_of_any_kind_are_actions():
+    """Bools, integers, doubles, other memory layouts: all are the same actions."""
+    envs = make()
+    ones = np.ones(envs.action_space.shape)
+    locked = ones.astype(np.float32)
+    locked.setflags(write=False)
+    results = []
+    for actions in (ones, ones.astype(int), ones.astype(bool), ones.tolist(), locked, np.tile(ones, 2)[:, ::-2]):
+        envs.reset(seed=1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            results.append(envs.step(actions)[0])
+    assert all(np.array_equal(result, results[0]) for result in results)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda a: "x", "must be"),
+        (lambda a: [[1.0], [1.0, 2.0]], "finite numbers: "),
+        (lambda a: a + 1j, "must be .* numbers, not complex128"),
+        (lambda a: a.astype(str), "must be .* numbers, not <U"),
+        (lambda a: np.ma.masked_array(a, mask=True), "masked entries"),
+        (lambda a: a * 1e300 + 1e300, "48 of 48 are not finite"),
+        (lambda a: a.T, r"must be \(4, 12\) finite numbers, not float64 \(12, 4\)"),
+        (lambda a: None, "must be"),
+    ],
+)
+def test_what_is_no_action_is_refused(spoil, message):
+    envs = make()
+    envs.reset(seed=1)
+    with pytest.raises(ArriveError, match=message):
+        envs.step(spoil(np.zeros(envs.action_space.shape)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"level": True}, "level True is out of range"),
+        ({"level": 0.5}, "level 0.5 is out of range"),
+        ({"level": "1"}, "level '1' is out of range"),
+        ({"threads": -1}, "--threads must be 0 to"),
+        ({"threads": 10**6}, "--threads must be 0 to"),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused(options, message):
+    with pytest.raises(ArriveError, match=message):
+        gymnasium.make_vec("arrive/Flat-v0", **{"num_envs": 2, "threads": 1, **options})
+
+
+def test_a_closed_environment_stays_closed():
+    envs = make()
+    envs.reset(seed=1)
+    envs.close()
+    envs.close()
+    for call in (envs.reset, lambda: envs.step(np.zeros(envs.action_space.shape))):
+        with pytest.raises(ArriveError, match="closed"):
+            call()

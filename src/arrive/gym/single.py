@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 from arrive.errors import ArriveError
-from arrive.gym.vector import METADATA, ArriveVectorEnv
+from arrive.gym.vector import METADATA, ArriveVectorEnv, as_actions
 
 
 class ArriveSingleEnv(gymnasium.Env):
@@ -53,10 +53,8 @@ class ArriveSingleEnv(gymnasium.Env):
         """
         if self._ended:
             raise ArriveError("the episode has ended, or none has begun; call reset")
-        action = np.asarray(action, dtype=np.float32)
-        if action.shape != self.action_space.shape:
-            raise ArriveError(f"an action must have the shape {self.action_space.shape}, not {action.shape}")
-        observations, rewards, terminated, truncated, info = self._robots.step(action[None])
+        actions = as_actions(action, self.action_space.shape).numpy()[None]
+        observations, rewards, terminated, truncated, info = self._robots.step(actions)
         self._ended = bool(terminated[0] or truncated[0])
         if not self._ended:
             return observations[0], float(rewards[0]), False, False, {}

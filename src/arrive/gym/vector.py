@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from arrive.build import Placement, build_env
+from arrive.commands.threads import check_threads
 from arrive.config import Config
 from arrive.env import POLICY, Finished
 from arrive.errors import ArriveError
@@ -82,6 +83,7 @@ class ArriveVectorEnv(VectorEnv):
         self._next_step = _autoreset(autoreset_mode) is AutoresetMode.NEXT_STEP
         if render_mode not in (None, "rgb_array"):
             raise ArriveError(f"render_mode must be 'rgb_array' or None, not {render_mode!r}")
+        check_threads(threads)
         config = make_config(parse_families(terrain), preset, task, num_envs, None, tuple(overrides), robot)
         self.num_envs = config.num_envs
         self._env = build_env(config, _placement(config, level), threads)
@@ -106,10 +108,11 @@ class ArriveVectorEnv(VectorEnv):
         Without a seed chance goes on from where it is, and levels stay.
 
         Raises:
-            ArriveError: options were given, there are none.
+            ArriveError: options were given, there are none; or the environment is closed.
         """
+        self._check_open()
         if options:
-            raise ArriveError(f"reset takes no options, not {', '.join(options)}; robots restart by themselves")
+            raise ArriveError(f"reset takes no options, not {options!r:.100}; robots restart by themselves")
         super().reset(seed=seed)
         self._env.restart(None if seed is None else int(self.np_random.integers(2**63)))
         self._waiting[:] = False
@@ -130,14 +133,10 @@ class ArriveVectorEnv(VectorEnv):
             observations, rewards (float32), terminations, truncations and infos, see the class.
 
         Raises:
-            ArriveError: actions of another shape, or not finite.
+            ArriveError: actions of another shape, or not finite; or the environment is closed.
         """
-        actions = np.asarray(actions, dtype=np.float32)
-        if actions.shape != self.action_space.shape:
-            raise ArriveError(f"actions must have the shape {self.action_space.shape}, not {actions.shape}")
-        if not np.isfinite(actions).all():
-            raise ArriveError("actions must be finite numbers; some are NaN or infinite")
-        observations, rewards, dones, extras = self._env.step(torch.from_numpy(actions))
+        self._check_open()
+        observations, rewards, dones, extras = self._env.step(as_actions(actions, self.action_space.shape))
         ended = dones.bool()
         truncated = extras["time_outs"].bool() if "time_outs" in extras else torch.zeros_like(ended)
         step = _Step(observations[POLICY].numpy(), rewards.numpy(), (ended & ~truncated).numpy(), truncated.numpy(), {})
@@ -182,6 +181,31 @@ class ArriveVectorEnv(VectorEnv):
         if self._pictures is not None:
             self._pictures.note()
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ArriveError("the environment is closed: make a new one")
+
+
+def as_actions(actions: Any, shape: tuple[int, ...] | None) -> Tensor:
+    """A copy of actions as float32. Integers and bools are numbers; complex and masked ones are not.
+
+    Raises:
+        ArriveError: actions of another shape or kind, or not finite.
+    """
+    try:
+        found = np.asarray(actions)
+    except ValueError as error:
+        raise ArriveError(f"actions must be {shape} finite numbers: {error}") from error
+    if found.shape != shape or found.dtype.kind not in "fiub" or np.ma.is_masked(actions):
+        masked = " with masked entries" if np.ma.is_masked(actions) else ""
+        raise ArriveError(f"actions must be {shape} finite numbers, not {found.dtype} {found.shape}{masked}")
+    with np.errstate(over="ignore"):
+        found = found.astype(np.float32, order="C")
+    wrong = np.count_nonzero(~np.isfinite(found))
+    if wrong:
+        raise ArriveError(f"actions must be {shape} finite numbers; {wrong} of {found.size} are not finite")
+    return torch.from_numpy(found)
+
 
 @dataclass
 class _Step:
@@ -214,8 +238,8 @@ def _placement(config: Config, level: int | None) -> Placement:
     """Robots spread over the families on a fixed level; None for the curriculum."""
     if level is None:
         return Placement()
-    if not 0 <= level < config.terrain.levels:
-        raise ArriveError(f"level {level} is out of range: levels are 0 to {config.terrain.levels - 1}")
+    if type(level) is not int or not 0 <= level < config.terrain.levels:
+        raise ArriveError(f"level {level!r} is out of range: levels are 0 to {config.terrain.levels - 1}")
     families = parse_families(",".join(config.terrain.families))
     # A family without a parameter has one level only.
     available = torch.tensor([min(level, len(level_values(f, config.terrain.levels)) - 1) for f in families])
