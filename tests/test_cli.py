@@ -377,3 +377,7 @@ def check_pictures(folder, out: str) -> None:
             assert Image.open(folder / name).size[0] > 6 * 64
     with imageio.get_reader(folder / "flat.mp4") as film:
         assert sum(1 for _ in film) >= 2
+
+
+def test_an_option_without_a_value_is_not_its_default(refused):
+    assert "--units has no value" in refused("actuator", "fit", "log.npz", "--units", "--")

@@ -108,11 +108,13 @@ def _check_empty(words: list[str]) -> None:
     """Refuse empty arguments. An unset shell variable leaves one, and as a path it means the current folder.
 
     Raises:
-        ArriveError: an argument is empty.
+        ArriveError: an argument is empty, or an option has none.
     """
     for before, word in zip(["arrive", *words], words, strict=False):
         if not word.partition("=")[2 if word.startswith("--") and "=" in word else 0].strip():
             raise ArriveError(f"the argument after {before!r} is empty; is a variable not set?")
+        if word == "--" and before.startswith("--"):
+            raise ArriveError(f"{before} has no value")
 
 
 def _imports(words: list[str]) -> tuple[list[str], list[str]]:

@@ -13,7 +13,6 @@ environment is made of is imported when the first one is made.
 
 import gymnasium
 
-from arrive.errors import ArriveError
 from arrive.terrain import FAMILIES
 
 ALL = "all"
