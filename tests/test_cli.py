@@ -381,3 +381,8 @@ def check_pictures(folder, out: str) -> None:
 
 def test_an_option_without_a_value_is_not_its_default(refused):
     assert "--units has no value" in refused("actuator", "fit", "log.npz", "--units", "--")
+
+
+def test_graphics_that_mujoco_does_not_know_are_told(refused, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "cpu")
+    assert "MUJOCO_GL must be egl, osmesa, glfw, glx, disable or unset, not 'cpu'" in refused("list")

@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import os
 import sys
 from typing import Annotated
 
@@ -34,6 +35,10 @@ DEBUG = "--debug"
 """Option of every command: show tracebacks."""
 IMPORT = "--import"
 """Option of every command: import a module that registers robots, terrains or other parts."""
+GRAPHICS = ("egl", "osmesa", "glfw", "glx", "disable")
+"""Values of MUJOCO_GL to suggest."""
+ALSO_GRAPHICS = ("", "enable", "enabled", "on", "true", "1", "disabled", "off", "false", "0", "wgl", "cgl")
+"""Other values that MuJoCo takes."""
 DESCRIPTION = (
     "Train, measure and run policies that bring a legged robot to a target by a given time. `arrive COMMAND --help` "
     f"explains a command. {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more."
@@ -79,6 +84,7 @@ def main(arguments: list[str] | None = None) -> None:
         raise
     try:
         _check_empty(words)
+        _check_graphics()
         check_limits(command)
         for source in imports:
             import_module(source)
@@ -115,6 +121,17 @@ def _check_empty(words: list[str]) -> None:
             raise ArriveError(f"the argument after {before!r} is empty; is a variable not set?")
         if word == "--" and before.startswith("--"):
             raise ArriveError(f"{before} has no value")
+
+
+def _check_graphics() -> None:
+    """Check MUJOCO_GL, because MuJoCo cannot be imported with a value that it does not know.
+
+    Raises:
+        ArriveError: it has such a value.
+    """
+    value = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if value not in GRAPHICS + ALSO_GRAPHICS:
+        raise ArriveError(f"the environment variable MUJOCO_GL must be {', '.join(GRAPHICS)} or unset, not {value!r}")
 
 
 def _imports(words: list[str]) -> tuple[list[str], list[str]]:
