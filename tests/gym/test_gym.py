@@ -218,8 +218,8 @@ def test_wrong_arguments_are_named():
     envs = make()
     envs.reset(seed=1)
     for actions, part in (
-        (np.zeros((3, 12)), r"the shape \(4, 12\), not \(3, 12\)"),
-        (np.full((4, 12), np.nan), "NaN"),
+        (np.zeros((3, 12)), r"\(4, 12\).*\(3, 12\)"),
+        (np.full((4, 12), np.nan), "48 of 48 are not finite"),
     ):
         with pytest.raises(ArriveError, match=part):
             envs.step(actions)
