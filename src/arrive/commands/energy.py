@@ -9,6 +9,7 @@ import torch
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+from rich.text import Text
 
 from arrive.commands.files import write_result
 from arrive.commands.policies import read_policy
@@ -22,7 +23,7 @@ from arrive.learning.policy import Policy
 from arrive.report.energy_chart import energy_figure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from arrive.commands.options import Energy
@@ -87,9 +88,9 @@ def print_energy(content: dict[str, Any]) -> None:
     """Print one policy's results as a table."""
     robots = content["speeds"][0]["robots"]
     title = f"{content['name']} ({content['task']}), {robots} robots a speed"
-    table = Table(title=title, title_justify="left", padding=(0, 0))
-    for column in ("command", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood"):
-        table.add_column(column, no_wrap=True)
+    table = narrow_table(
+        title, ("asked", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood")
+    )
     for row in content["speeds"]:
         figures = ("speed", "torque_sq", "positive_work", "absolute_work", "cost_of_transport", "time_s")
         table.add_row(
@@ -99,6 +100,14 @@ def print_energy(content: dict[str, Any]) -> None:
             str(row["stood"]),
         )
     Console().print(table)
+
+
+def narrow_table(title: str, columns: Sequence[str]) -> Table:
+    """A table without lines that fits into 80 columns of a terminal where it can, and else breaks its cells."""
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), header_style="dim")
+    for column in columns:
+        table.add_column(Text(column), overflow="fold")
+    return table
 
 
 def with_interval(figure: list[float] | None) -> str:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
-from arrive.commands.energy import load_policies, shown_on, with_interval
+from arrive.commands.energy import load_policies, narrow_table, shown_on, with_interval
 from arrive.commands.files import write_result
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
@@ -57,11 +56,11 @@ def gait(command: Gait) -> None:
 
 
 def print_gait(content: dict[str, Any]) -> None:
-    """Print the gaits of one policy as a table."""
+    """Print the gaits of one policy as a table; phases are shares of a stride."""
     feet = content["feet"]
-    table = Table(title=f"{content['name']} ({content['task']})", title_justify="left", padding=(0, 0))
-    for column in ("command", "gait", "m/s", "Hz", "stride [m]", "duty", f"phase {' '.join(feet)}", "travel", "fell"):
-        table.add_column(column, no_wrap=True)
+    phases = f"{' '.join(feet)} [%]"
+    columns = ("asked", "gait", "m/s", "Hz", "stride [m]", "duty", phases, "travel", "fell")
+    table = narrow_table(f"{content['name']} ({content['task']})", columns)
     for row in content["gaits"]:
         direction = f" {row['direction_deg']:+g}°" if row["direction_deg"] else ""
         told = f"{row['told_m_s']:g}{direction}"
@@ -74,7 +73,7 @@ def print_gait(content: dict[str, Any]) -> None:
             row["gait"],
             *(with_interval(row[name]) for name in ("speed_m_s", "stride_frequency_hz", "stride_length_m")),
             f"{duty:.2f}",
-            " ".join(f"{phase:.2f}" for phase in row["phase"]),
+            " ".join(f"{100 * phase:.0f}".rjust(len(foot)) for foot, phase in zip(feet, row["phase"], strict=True)),
             f"{row['travel_deg']:+.0f}°",
             str(row["fell"]),
         )
