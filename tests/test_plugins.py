@@ -286,6 +286,8 @@ def test_a_bad_model_is_one_line(tmp_path, capsys, old, new, problem):
         ("tall", "((0, 1.0),)", "((1, 1.0),)", "a reflection of the observation 'base_height' must name every entry"),
         ("tall", 'register_term("base_height"', '("base_height"', "unknown observation 'base_height'"),
         ("halt", "        outcome = super()", "        return None\n        outcome = super()", "perhaps in halt: "),
+        ("halt", "success & ~moving,", "success[:1],", "outcome 'success' must be a bool tensor of the shape (16,)"),
+        ("halt", '"moving": moving', '"moving": moving.float()', "outcome 'moving' must be a bool tensor"),
     ],
 )
 def test_a_fault_of_a_module_while_it_trains_is_one_line(tmp_path, capsys, task, old, new, problem):

@@ -220,6 +220,7 @@ class ArriveEnv(VecEnv):
 
     def _record(self, state: State, endings: Endings) -> None:
         outcome = self.task.judge(state, endings.crashed, endings.fell)
+        outcome.check(self.num_envs)
         self.log.success = outcome.success
         ids = endings.ended.nonzero().squeeze(-1)
         if not len(ids):

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Protocol, Self
 import torch
 from torch import Tensor
 
+from arrive.errors import ArriveError
 from arrive.robots.robot import Robot
 from arrive.task.observations import ObservationConfig, ObservationTerm
 from arrive.task.state import State
@@ -56,6 +57,20 @@ class Outcome:
     """By cause. Every episode without success has exactly one."""
     remaining: Tensor
     """(n,) float: the distance left, to the target or to the commanded distance [m]."""
+
+    def check(self, count: int) -> None:
+        """Refuse masks that are not one bool for each of `count` robots: a task of a user's module may return any.
+
+        Raises:
+            ArriveError: one is not; the message says which.
+        """
+        masks = {"success": self.success, "promote": self.promote, "demote": self.demote} | self.failures
+        for name, mask in masks.items():
+            if not isinstance(mask, Tensor) or mask.shape != (count,) or mask.dtype != torch.bool:
+                found = f"{mask.dtype} {tuple(mask.shape)}" if isinstance(mask, Tensor) else type(mask).__name__
+                raise ArriveError(
+                    f"the task's outcome {name!r} must be a bool tensor of the shape ({count},), not {found}"
+                )
 
 
 @dataclass(frozen=True)
