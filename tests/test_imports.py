@@ -20,7 +20,13 @@ FILES = {
 }
 """Path of every module by name."""
 Graph = dict[str, set[str]]
-DISTRIBUTIONS = {"PIL": "pillow", "mujoco": "mujoco-core", "rsl_rl": "rsl-rl-lib", "warp": "warp-lang"}
+DISTRIBUTIONS = {
+    "stable_baselines3": "stable-baselines3",
+    "PIL": "pillow",
+    "mujoco": "mujoco-core",
+    "rsl_rl": "rsl-rl-lib",
+    "warp": "warp-lang",
+}
 """Names of distributions that differ from their module's."""
 WITHOUT_DEPENDENCIES = {"mujoco_warp"}
 """Installed with `pip install --no-deps`, which pyproject.toml cannot say."""

@@ -3,6 +3,9 @@
 import math
 import os
 import pickle
+import subprocess
+import sys
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -26,6 +29,8 @@ from arrive.learning.policy import load_policy
 from arrive.learning.rundir import write_config
 from arrive.learning.trainer import Trainer
 from arrive.presets import get_preset
+
+ROOT = Path(__file__).parents[2]
 
 CONTENT = {
     "format": FORMAT,
@@ -337,3 +342,10 @@ def test_a_checkpoint_of_another_version_is_not_resumed(run, tmp_path):
     changed_copy(run / CHECKPOINT_NAME, tmp_path, state=state)
     with pytest.raises(ArriveError, match=r"another version of arrive.*--start-from"):
         trainer_in(tmp_path).load()
+
+
+def test_a_policy_is_read_by_a_program_that_imports_nothing_else():
+    """A saved configuration needs its task, which its own module registers."""
+    program = "from arrive.learning.policy import load_policy\nprint(load_policy('policies/slope').config.task.name)"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout == "final\n", done.stderr

@@ -5,7 +5,7 @@
 
     PPO("MlpPolicy", StableBaselinesEnv(64, terrain="gap")).learn(1_000_000)
 
-Not imported by `arrive.gym`: it needs `pip install stable-baselines3`.
+Not imported by `arrive.gym`: it needs the extra `sb3`.
 """
 
 from collections.abc import Sequence
