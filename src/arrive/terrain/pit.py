@@ -12,9 +12,8 @@ FLOOR_HALF = 1.5
 """Half the edge of the square floor in training [m]: a 1.1 m long robot can turn on it."""
 EVALUATION_WALL_X = 2.0
 """x of the wall in the evaluation layout [m], across the whole width."""
-EDGE_MARGIN = 0.55
-"""Targets closer to the wall than this, above or below it, are invalid [m]: feet are 0.54 m away from the middle of the
-base, and a robot cannot stand astride the wall."""
+EDGE_MARGIN = 0.35
+"""Targets closer to the wall than this, above or below it, are invalid [m]: the robot cannot stand astride it."""
 
 
 def build(depth: float, rng: np.random.Generator, layout: Layout, size: float) -> Tile:
