@@ -78,10 +78,10 @@ def play(env: ArriveEnv, pilot: Pilot, watched: Tensor, progress: OnProgress = l
     )
     meter = MotionMeter(env)
     waiting = torch.ones(n, dtype=torch.bool)
-    observation, poses = env.get_observations()[POLICY], [_poses(env, watched)]
+    observation, poses = env.get_observations()[POLICY], [poses_of(env, watched)]
     for step in range(env.max_episode_length):
         observation = env.step(pilot.act(observation))[0][POLICY]
-        poses.append(_poses(env, watched))
+        poses.append(poses_of(env, watched))
         assert env.log.success is not None  # after a step
         played.reached[waiting & env.log.success.cpu() & (played.reached == 0)] = step + 1
         _note_ended(env, played, waiting, step + 1)
@@ -109,10 +109,11 @@ def _note_ended(env: ArriveEnv, played: Played, waiting: Tensor, step: int) -> N
     env.deactivate(ids.to(env.device))
 
 
-def _poses(env: ArriveEnv, watched: Tensor) -> np.ndarray:
+def poses_of(env: ArriveEnv, env_ids: Tensor) -> np.ndarray:
+    """(n, nq) present poses of robots in MuJoCo's order [m, quaternion, rad]."""
     state = env.state
     parts = (state.base_pos_w, state.base_quat_w, state.joint_pos)
-    return torch.cat([part[watched.to(part.device)] for part in parts], dim=-1).cpu().numpy()
+    return torch.cat([part[env_ids.to(part.device)] for part in parts], dim=-1).cpu().numpy()
 
 
 def episode(env: ArriveEnv, played: Played, column: int, caption: str) -> Episode:

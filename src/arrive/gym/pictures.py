@@ -5,6 +5,7 @@ import torch
 
 from arrive.env import ArriveEnv
 from arrive.evaluation.episode import Episode
+from arrive.evaluation.playing import poses_of
 from arrive.physics.world import compile_world
 from arrive.render.pictures import FILM_SIZE, LiveStage
 from arrive.task.final import arrival_radius
@@ -25,8 +26,7 @@ class LivePictures:
 
     def note(self) -> None:
         """Remember where the robots are; to be called after every reset and step."""
-        state = self._env.state
-        poses = torch.cat([state.base_pos_w, state.base_quat_w, state.joint_pos], dim=-1).cpu().numpy()
+        poses = poses_of(self._env, torch.arange(self._env.num_envs))
         starts = (self._env.episode_length_buf == 0).tolist()
         for known, pose, start in zip(self._poses, poses, starts, strict=True):
             if start:

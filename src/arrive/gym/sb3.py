@@ -16,7 +16,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from arrive.errors import ArriveError
-from arrive.gym.vector import ArriveVectorEnv
+from arrive.gym.vector import ArriveVectorEnv, result_of
 
 
 class StableBaselinesEnv(VecEnv):
@@ -55,10 +55,8 @@ class StableBaselinesEnv(VecEnv):
         observations, rewards, terminated, truncated, info = self.robots.step(self._actions)
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for env_id in np.flatnonzero(dones):
-            final = info["final_info"]
-            infos[env_id] = {name: value[env_id] for name, value in final.items() if not name.startswith("_")}
-            infos[env_id] |= {
+        for env_id in np.flatnonzero(dones).tolist():
+            infos[env_id] = result_of(info, env_id) | {
                 "terminal_observation": info["final_obs"][env_id],
                 "TimeLimit.truncated": bool(truncated[env_id]),
             }

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 from arrive.errors import ArriveError
-from arrive.gym.vector import METADATA, ArriveVectorEnv, as_actions
+from arrive.gym.vector import METADATA, ArriveVectorEnv, as_actions, result_of
 
 
 class ArriveSingleEnv(gymnasium.Env):
@@ -58,8 +58,7 @@ class ArriveSingleEnv(gymnasium.Env):
         self._ended = bool(terminated[0] or truncated[0])
         if not self._ended:
             return observations[0], float(rewards[0]), False, False, {}
-        final = {name: value[0] for name, value in info["final_info"].items() if not name.startswith("_")}
-        return info["final_obs"][0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), final
+        return info["final_obs"][0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), result_of(info, 0)
 
     def render(self) -> np.ndarray | None:
         """A (height, width, 3) picture, 8 bits per colour; None without a render mode.

@@ -80,7 +80,8 @@ class ArriveVectorEnv(VectorEnv):
         Raises:
             ArriveError: an unknown name or value out of range.
         """
-        self._next_step = _autoreset(autoreset_mode) is AutoresetMode.NEXT_STEP
+        mode = _autoreset(autoreset_mode)
+        self._next_step = mode is AutoresetMode.NEXT_STEP
         if render_mode not in (None, "rgb_array"):
             raise ArriveError(f"render_mode must be 'rgb_array' or None, not {render_mode!r}")
         check_threads(threads)
@@ -91,8 +92,7 @@ class ArriveVectorEnv(VectorEnv):
         self._waiting = np.zeros(self.num_envs, dtype=bool)
         """Robots whose next step starts an episode, with `NEXT_STEP`."""
         self.render_mode = render_mode
-        rates = {"autoreset_mode": _autoreset(autoreset_mode), "render_fps": round(1.0 / self._env.control_dt)}
-        self.metadata = METADATA | rates
+        self.metadata = METADATA | {"autoreset_mode": mode, "render_fps": round(1.0 / self._env.control_dt)}
         self._pictures = None if render_mode is None else LivePictures(self._env)
         bound = FARTHEST_TARGET_RAD / self._env.robot.action_scale
         self.single_observation_space = _box(np.inf, self._env.observer.size)
@@ -205,6 +205,11 @@ def as_actions(actions: Any, shape: tuple[int, ...] | None) -> Tensor:
     if wrong:
         raise ArriveError(f"actions must be {shape} finite numbers; {wrong} of {found.size} are not finite")
     return torch.from_numpy(found)
+
+
+def result_of(info: dict[str, Any], env_id: int) -> dict[str, Any]:
+    """The result of a robot whose episode has ended, from the `info` of a step with `SAME_STEP`."""
+    return {name: value[env_id] for name, value in info["final_info"].items() if not name.startswith("_")}
 
 
 @dataclass
