@@ -283,7 +283,7 @@ def test_a_bad_model_is_one_line(tmp_path, capsys, old, new, problem):
             "observation 'base_height' must be a tensor of the shape (16, 1), not (16, 2)",
         ),
         ("tall", '("z",), 2.0', '("z",), 0.0', "needs a finite scale other than 0"),
-        ("tall", "((0, 1.0),)", "((1, 1.0),)", "a reflection of the observation 'base_height' must name every entry"),
+        ("tall", "((0, 1.0),)", "((1, 1.0),)", "the reflection of the observation 'base_height' must name every entry"),
         ("tall", 'register_term("base_height"', '("base_height"', "unknown observation 'base_height'"),
         ("halt", "        outcome = super()", "        return None\n        outcome = super()", "perhaps in halt: "),
         ("halt", "success & ~moving,", "success[:1],", "outcome 'success' must be a bool tensor of the shape (16,)"),

@@ -95,8 +95,8 @@ class PPOConfig:
     """Arithmetic of the hidden layers in training. `auto` takes bfloat16 on CPUs that multiply it in hardware. Weights,
     losses, evaluation and exported policies are always float32."""
     symmetry: bool = False
-    """Whether the networks are equivariant under the robot's mirror symmetries: left-right and, if the robot has it,
-    front-back."""
+    """Whether the networks treat a target behind as a target ahead of the reflected robot. Without effect on a robot
+    that is not symmetric front to back."""
 
 
 @dataclass(frozen=True)

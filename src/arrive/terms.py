@@ -1,6 +1,6 @@
 """The observation terms by name, with unit, frame and meaning. Used by training, export, controller and documentation.
 
-`arrive.task.observations` computes the terms in training, and defines scale, noise and mirror maps.
+`arrive.task.observations` computes the terms in training, and defines scale, noise and reflection.
 `arrive.deployment.terms` computes them in the controller, without torch.
 """
 

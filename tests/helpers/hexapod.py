@@ -74,7 +74,6 @@ HEXAPOD = Robot(
     foot_bodies=tuple(f"{leg}_FOOT" for leg in LEGS),
     collision_bodies=tuple(f"{leg}_{part}" for leg in LEGS for part in ("FEMUR", "TIBIA", "TARSUS")),
     crash_bodies=("trunk",),
-    joint_mirror=tuple(({"L": "R", "R": "L"}[name[0]] + name[1:], -1.0) for name in JOINT_NAMES),
     joint_reverse=tuple(
         (name[0] + PARTNERS[name[1]] + name[2:], -1.0 if name.endswith("YAW") else 1.0) for name in JOINT_NAMES
     ),

@@ -1,4 +1,4 @@
-"""The compiled ANYmal C against its manufacturer's public description, and its physics against symmetry.
+"""The compiled ANYmal C against its manufacturer's public description.
 
 Expected masses, inertias and foot positions were computed from the URDF of `anymal_c_simple_description` (PyPI
 example-robot-data 6.0.0) by a script that shares no code with the model: it walks the URDF's joints with their
@@ -113,19 +113,6 @@ def standing(model: mujoco.MjModel, height: float = ROBOT.standing_height) -> mu
     return data
 
 
-def mirrored_joints(values: np.ndarray) -> np.ndarray:
-    mirrored = np.empty_like(values)
-    for value, (partner, sign) in zip(values, ROBOT.joint_mirror, strict=True):
-        mirrored[ROBOT.joint_names.index(partner)] = sign * value
-    return mirrored
-
-
-def mirrored_state(qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reflection about the x-z plane: polar vectors change sign in y, axial ones and the quaternion in x and z."""
-    qpos = np.concatenate([qpos[:7] * [1, -1, 1, 1, -1, 1, -1], mirrored_joints(qpos[7:])])
-    return qpos, np.concatenate([qvel[:6] * [1, -1, 1, -1, 1, -1], mirrored_joints(qvel[6:])])
-
-
 def published(body: str) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass, centre of mass and 3x3 inertia of a body of any leg."""
     diagonal_partner = {"LH": "RF", "RH": "LF"}.get(body[:2], body[:2])
@@ -203,32 +190,6 @@ def test_standing_height_puts_all_feet_on_the_ground(flat_model):
     np.testing.assert_allclose(bottoms, 0.0, atol=1e-12)
 
 
-def test_joint_mirror_undoes_itself():
-    values = np.arange(12.0)
-    assert (mirrored_joints(mirrored_joints(values)) == values).all()
-    assert (mirrored_joints(np.array(ROBOT.default_joint_pos)) == ROBOT.default_joint_pos).all()
-
-
-def test_mirrored_robot_behaves_like_the_mirror_image(flat_model):
-    """From a random fall with random joint targets, half a second of physics commutes with the reflection."""
-    rng = np.random.default_rng(0)
-    data, image = standing(flat_model, 0.6), mujoco.MjData(flat_model)
-    data.qpos[3:7] += rng.normal(0, 0.05, 4)
-    data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-    data.qpos[7:] += rng.normal(0, 0.2, 12)
-    data.qvel[:] = rng.normal(0, 0.5, flat_model.nv)
-    image.qpos[:], image.qvel[:] = mirrored_state(data.qpos, data.qvel)
-    for _ in range(100):
-        data.ctrl[:] = np.array(ROBOT.default_joint_pos) + rng.normal(0, 0.2, 12)
-        image.ctrl[:] = mirrored_joints(data.ctrl)
-        mujoco.mj_step(flat_model, data)
-        mujoco.mj_step(flat_model, image)
-    assert data.ncon > 0
-    qpos, qvel = mirrored_state(data.qpos, data.qvel)
-    np.testing.assert_allclose(image.qpos, qpos, atol=1e-8)
-    np.testing.assert_allclose(image.qvel, qvel, atol=1e-6)
-
-
 def test_stands_still_at_the_default_pose(flat_model):
     """Under PD it sags a little in the first second and then stays where it is for five."""
     data = standing(flat_model)
@@ -281,7 +242,7 @@ def test_unknown_robot_is_an_error_that_lists_the_known_ones():
         ({"foot_bodies": ("LF_FOOT",) * 4}, "'LF_FOOT' is in foot_bodies and in foot_bodies"),
         ({"motors": ROBOT.motors[:3]}, "motors has 3 entries where 12 are needed"),
         ({"default_joint_pos": (0.0,)}, "default_joint_pos has 1 entries where 12 are needed"),
-        ({"joint_mirror": ROBOT.joint_mirror[:-1]}, "joint_mirror does not name every joint once"),
+        ({"joint_reverse": ROBOT.joint_reverse[:-1]}, "joint_reverse does not name every joint once"),
         (
             {"joint_reverse": (*ROBOT.joint_reverse[:-1], (ROBOT.joint_reverse[-1][0], 1.0))},
             "joint_reverse does not undo itself",

@@ -36,7 +36,7 @@ class MixedPrecision(nn.Sequential):
 
 
 class Facing(nn.Module):
-    """Reflects observations so that the command points forward and to the left, and reflects the actions back."""
+    """Reflects observations so that the command points forward, and reflects the actions back."""
 
     observation_index: Tensor
     observation_sign: Tensor

@@ -1,9 +1,12 @@
-"""Mirror symmetry of the networks: for a front-back reflected robot, a target behind is a target ahead.
+"""Front-back symmetry of the networks: a target behind is a target ahead of the reflected robot.
 
-Robots are symmetric left to right, and some also front to back. The right action for a command is then, reflected, also
-right for the reflected command. Observations are reflected so that the command points forward and to the left, and the
-networks' actions are reflected back. With both symmetries the networks learn only a quarter of the directions, and they
-cannot prefer one walking direction, as the paper's policies do (section Emergent Gaits).
+Some robots are symmetric front to back. The right action for a command is then, reflected, also right for the reflected
+command. Observations are reflected so that the command points forward, and the networks' actions are reflected back. So
+the networks learn only half of the directions, and they cannot prefer one walking direction, as the paper's policies do
+(section Emergent Gaits).
+
+Left and right are not treated so, although every robot here has that symmetry: on the way to a target straight ahead,
+the command points to the left and to the right in turn at every sway of the body, and robots tripped over the change.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ import torch
 from torch import Tensor
 
 from arrive.env import ArriveEnv
-from arrive.task.observations import mirror_map, reverse_map
+from arrive.task.observations import reverse_map
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Reflection:
     action_index: Tensor
     action_sign: Tensor
     side: int
-    """Column of the observation that is negative if the command points to the far side of the mirror plane."""
+    """Column of the observation that is negative if the command points to the far side of the plane of reflection."""
 
     def observation(self, observation: Tensor) -> Tensor:
         """(n, size) observation of the reflected robot."""
@@ -38,13 +41,11 @@ class Reflection:
 
 
 def make_reflections(env: ArriveEnv) -> tuple[Reflection, ...]:
-    """Front-back reflection, if the robot has that symmetry, and left-right reflection."""
+    """Front-back reflection if the robot has that symmetry, otherwise none."""
     observer, robot = env.observer, env.robot
-    ahead, left = (observer.column(*side) for side in env.task.sides)
-    mirror = _reflection(observer.mirror(), mirror_map(robot), left)
     if robot.joint_reverse is None:
-        return (mirror,)
-    return _reflection(observer.reverse(), reverse_map(robot), ahead), mirror
+        return ()
+    return (_reflection(observer.reverse(), reverse_map(robot), observer.column(*env.task.ahead)),)
 
 
 def _reflection(observation: tuple[Tensor, Tensor], joints: tuple[tuple[int, float], ...], side: int) -> Reflection:

@@ -164,16 +164,6 @@ def standing_height() -> float:
     return FOOT_RADIUS - knee_z - foot_z
 
 
-def joint_mirror(joint_names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
-    """Partner and sign of each joint under reflection about the x-z plane.
-
-    L and R swap. A rotation about an axis in the mirror plane (HAA, about x) changes sign; one about its normal
-    (HFE and KFE, about y) does not.
-    """
-    other_side = {"L": "R", "R": "L"}
-    return tuple((other_side[name[0]] + name[1:], -1.0 if name.endswith("HAA") else 1.0) for name in joint_names)
-
-
 def joint_reverse(joint_names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
     """Partner and sign of each joint under reflection about the y-z plane.
 
@@ -205,6 +195,5 @@ ANYMAL_C = Robot(
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("THIGH", "SHANK")),
     crash_bodies=("base",),
-    joint_mirror=joint_mirror(JOINT_NAMES),
     joint_reverse=joint_reverse(JOINT_NAMES),
 )

@@ -51,16 +51,15 @@ class Robot:
     """Bodies whose contacts count as the collisions N_c of the paper's eq. 2."""
     crash_bodies: tuple[str, ...]
     """Bodies whose contact ends the episode."""
-    joint_mirror: tuple[tuple[str, float], ...]
-    """For each joint, its partner under left-right reflection and the sign of the position there."""
     joint_reverse: tuple[tuple[str, float], ...] | None = None
-    """The same under front-back reflection; None for a robot whose hind legs are no mirror image of the front ones."""
+    """For each joint, its partner under front-back reflection and the sign of the position there; None for a robot
+    whose hind legs are no mirror image of the front ones."""
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together.
 
         Raises:
-            ArriveError: a list of another length than the joints or feet, no foot, a body with two roles, a mirror map
+            ArriveError: a list of another length than the joints or feet, no foot, a body with two roles, a reflection
                 that does not undo itself, or a figure that is not finite or has the wrong sign.
         """
         problem = self._problem()
@@ -121,16 +120,17 @@ class Robot:
                 if body in seen:
                     return f"body {body!r} is in {seen[body]} and in {role}; its contacts count for one of them"
                 seen[body] = role
-        maps = {"joint_mirror": self.joint_mirror}
-        if self.joint_reverse is not None:
-            maps["joint_reverse"] = self.joint_reverse
-        for name, pairs in maps.items():
-            if len(pairs) != len(joints) or {partner for partner, _ in pairs} != set(joints):
-                return f"{name} does not name every joint once"
-            place = dict(zip(joints, pairs, strict=True))
-            for joint, (partner, sign) in place.items():
-                if place[partner] != (joint, sign):
-                    return f"{name} does not undo itself: {joint} goes to {partner}, which goes to {place[partner][0]}"
+        pairs = self.joint_reverse
+        if pairs is None:
+            return ""
+        if len(pairs) != len(joints) or {partner for partner, _ in pairs} != set(joints):
+            return "joint_reverse does not name every joint once"
+        place = dict(zip(joints, pairs, strict=True))
+        for joint, (partner, sign) in place.items():
+            if place[partner] != (joint, sign):
+                return (
+                    f"joint_reverse does not undo itself: {joint} goes to {partner}, which goes to {place[partner][0]}"
+                )
         return ""
 
 

@@ -164,14 +164,6 @@ def standing_height() -> float:
     return FOOT_RADIUS - CALF_IN_THIGH[2] * math.cos(DEFAULT_THIGH) - foot_z
 
 
-def joint_mirror(joint_names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
-    """Partner and sign of each joint under reflection about the x-z plane: L and R swap, hips change sign."""
-    other_side = {"L": "R", "R": "L"}
-    return tuple(
-        (name[0] + other_side[name[1]] + name[2:], -1.0 if name.endswith("hip_joint") else 1.0) for name in joint_names
-    )
-
-
 JOINT_NAMES = tuple(f"{leg.name}_{part}_joint" for leg in LEGS for part in DRIVES)
 FEET = tuple(f"{leg.name}_foot" for leg in LEGS)
 
@@ -191,6 +183,5 @@ GO2 = Robot(
     foot_bodies=FEET,
     collision_bodies=tuple(f"{leg.name}_{part}" for leg in LEGS for part in ("thigh", "calf")),
     crash_bodies=("base",),
-    joint_mirror=joint_mirror(JOINT_NAMES),
 )
 """A leg of 0.426 m against ANYmal C's 0.61 m gives the size."""

@@ -94,7 +94,7 @@ class FinalPositionTask:
     """Position targets with a deadline."""
 
     Config: ClassVar[type[TaskConfig]] = FinalConfig
-    sides = (("target", 0), ("target", 1))
+    ahead = ("target", 0)
     bootstraps = False
 
     def __init__(self, config: PositionConfig, context: TaskContext, trial: Trial | ConstantCommand | None = None):

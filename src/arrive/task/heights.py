@@ -50,11 +50,6 @@ class HeightGrid:
         y = _symmetric_range(self._width, self._step)
         return torch.cartesian_prod(x, y)
 
-    def mirror(self) -> list[int]:
-        """For each point, the index of its left-right mirror image."""
-        count_y = len(_symmetric_range(self._width, self._step))
-        return [i - i % count_y + count_y - 1 - i % count_y for i in range(len(self.points))]
-
     def reverse(self) -> list[int]:
         """For each point, the index of its front-back mirror image."""
         count_y = len(_symmetric_range(self._width, self._step))

@@ -1,4 +1,4 @@
-"""Observations: named terms in a fixed order. Sizes, scales, noise and mirror maps are computed from them."""
+"""Observations: named terms in a fixed order. Sizes, scales, noise and reflections are computed from them."""
 
 import math
 from collections.abc import Callable
@@ -68,10 +68,9 @@ class ObservationTerm:
     """The policy receives value * scale."""
     noise: float
     """Half-width of the uniform noise, in the term's unit."""
-    mirror: tuple[tuple[int, float], ...]
-    """Left-right reflection: for each entry, the entry that it comes from, and its sign."""
     reverse: tuple[tuple[int, float], ...]
-    """Front-back reflection, in the same form. It is not used for a robot without that symmetry."""
+    """Front-back reflection: for each entry, the entry that it comes from, and its sign. It is not used for a robot
+    without that symmetry."""
     compute: Callable[[State, Any], Tensor]
     """Computes the term from the state and the task's own command."""
     reference: str = ""
@@ -91,9 +90,8 @@ class ObservationTerm:
                 f"the observation {self.name!r} needs a finite scale other than 0 and a noise of at least 0, "
                 f"not {self.scale!r} and {self.noise!r}"
             )
-        for entries in (self.mirror, self.reverse):
-            if sorted(source for source, _ in entries) != list(range(self.size)):
-                raise ArriveError(f"a reflection of the observation {self.name!r} must name every entry once")
+        if sorted(source for source, _ in self.reverse) != list(range(self.size)):
+            raise ArriveError(f"the reflection of the observation {self.name!r} must name every entry once")
 
     @property
     def meaning(self) -> TermMeaning:
@@ -105,17 +103,9 @@ class ObservationTerm:
         return len(self.labels)
 
 
-VECTOR_MIRROR = ((0, 1.0), (1, -1.0), (2, 1.0))
-AXIAL_MIRROR = ((0, -1.0), (1, 1.0), (2, -1.0))
 VECTOR_REVERSE = ((0, -1.0), (1, 1.0), (2, 1.0))
 AXIAL_REVERSE = ((0, 1.0), (1, -1.0), (2, -1.0))
 XYZ = ("x", "y", "z")
-
-
-def mirror_map(robot: Robot) -> tuple[tuple[int, float], ...]:
-    """The robot's joint mirror map by index."""
-    index = {name: i for i, name in enumerate(robot.joint_names)}
-    return tuple((index[partner], sign) for partner, sign in robot.joint_mirror)
 
 
 def reverse_map(robot: Robot) -> tuple[tuple[int, float], ...]:
@@ -131,9 +121,9 @@ def observation_terms(robot: Robot, config: ObservationConfig, episode_s: float)
     The time left is clamped to the longest episode in training, because the policy has never seen more.
     """
     target_and_time = (
-        ObservationTerm("target", XYZ, 0.5, 0.0, VECTOR_MIRROR, VECTOR_REVERSE,
+        ObservationTerm("target", XYZ, 0.5, 0.0, VECTOR_REVERSE,
                         lambda s, c: rotate_inverse(s.base_quat_w, c.target_w - s.base_pos_w)),
-        ObservationTerm("time_left", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),), ((0, 1.0),),
+        ObservationTerm("time_left", ("t",), 2.0 / episode_s, 0.0, ((0, 1.0),),
                         lambda s, c: c.time_left_s.clamp(max=episode_s).unsqueeze(-1)),
     )  # fmt: skip
     return around_command(robot, config, target_and_time)
@@ -148,23 +138,22 @@ def around_command(
     builds.
     """
     joints = robot.joint_names
-    joint_maps = mirror_map(robot), reverse_map(robot)
+    reverse_joints = reverse_map(robot)
     grid, clip, offset = HeightGrid(config.heights), config.heights.clip, height_offset(robot)
     cells = tuple(f"({x:g}, {y:g})" for x, y in grid.points.tolist())
-    mirror_cells = tuple((i, 1.0) for i in grid.mirror())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
     return (
-        ObservationTerm("base_lin_vel", XYZ, 2.0, config.base_lin_vel.noise, VECTOR_MIRROR, VECTOR_REVERSE,
+        ObservationTerm("base_lin_vel", XYZ, 2.0, config.base_lin_vel.noise, VECTOR_REVERSE,
                         lambda s, c: s.base_lin_vel_b),
-        ObservationTerm("base_ang_vel", XYZ, 0.25, config.base_ang_vel.noise, AXIAL_MIRROR, AXIAL_REVERSE,
+        ObservationTerm("base_ang_vel", XYZ, 0.25, config.base_ang_vel.noise, AXIAL_REVERSE,
                         lambda s, c: s.base_ang_vel_b),
-        ObservationTerm("gravity", XYZ, 1.0, config.gravity.noise, VECTOR_MIRROR, VECTOR_REVERSE,
+        ObservationTerm("gravity", XYZ, 1.0, config.gravity.noise, VECTOR_REVERSE,
                         lambda s, c: s.gravity_b),
         *command_terms,
-        ObservationTerm("joint_pos", joints, 1.0, config.joint_pos.noise, *joint_maps, lambda s, c: s.joint_offset),
-        ObservationTerm("joint_vel", joints, 0.05, config.joint_vel.noise, *joint_maps, lambda s, c: s.joint_vel),
-        ObservationTerm("action", joints, 1.0, 0.0, *joint_maps, lambda s, c: s.action),
-        ObservationTerm("heights", cells, config.heights.scale, config.heights.noise, mirror_cells, reverse_cells,
+        ObservationTerm("joint_pos", joints, 1.0, config.joint_pos.noise, reverse_joints, lambda s, c: s.joint_offset),
+        ObservationTerm("joint_vel", joints, 0.05, config.joint_vel.noise, reverse_joints, lambda s, c: s.joint_vel),
+        ObservationTerm("action", joints, 1.0, 0.0, reverse_joints, lambda s, c: s.action),
+        ObservationTerm("heights", cells, config.heights.scale, config.heights.noise, reverse_cells,
                         lambda s, c: relative_heights(s, offset).clamp(*clip),
                         f", {offset:g} m below the base, positive down"),
     )  # fmt: skip
@@ -221,19 +210,12 @@ class Observer:
             start += term.size
         return rows
 
-    def mirror(self) -> tuple[Tensor, Tensor]:
-        """Index and sign, (size,) each, of left-right reflection: mirrored = observation[:, index] * sign."""
-        return self._joined([term.mirror for term in self.terms])
-
     def reverse(self) -> tuple[Tensor, Tensor]:
-        """The same for front-back reflection."""
-        return self._joined([term.reverse for term in self.terms])
-
-    def _joined(self, maps: list[tuple[tuple[int, float], ...]]) -> tuple[Tensor, Tensor]:
+        """Index and sign, (size,) each, of front-back reflection: reversed = observation[:, index] * sign."""
         index, sign, start = [], [], 0
-        for term, entries in zip(self.terms, maps, strict=True):
-            index += [start + source for source, _ in entries]
-            sign += [factor for _, factor in entries]
+        for term in self.terms:
+            index += [start + source for source, _ in term.reverse]
+            sign += [factor for _, factor in term.reverse]
             start += term.size
         return torch.tensor(index), torch.tensor(sign)
 

@@ -127,8 +127,8 @@ class Task(Protocol):
     """Commands, their observation, the available rewards, and the criterion for success."""
 
     Config: ClassVar[type[TaskConfig]]
-    sides: tuple[tuple[str, int], tuple[str, int]]
-    """Observation entries (term, index) that are positive when the command points forward, and to the left."""
+    ahead: tuple[str, int]
+    """Observation entry (term, index) that is positive when the command points forward."""
     bootstraps: bool
     """Whether to bootstrap the value at a time-out. True for tasks that do not observe the time left. The paper argues
     against bootstrapping where the time is observed."""

@@ -156,7 +156,7 @@ class VelocityTask:
     """Forward speed and heading to follow until the episode ends."""
 
     Config: ClassVar[type[TaskConfig]] = VelocityConfig
-    sides = (("speed_command", 0), ("yaw_rate_command", 0))
+    ahead = ("speed_command", 0)
     bootstraps = True
 
     def __init__(self, config: VelocityConfig, context: TaskContext, trial: Trial | ConstantCommand | None = None):
@@ -213,9 +213,9 @@ class VelocityTask:
         config: VelocityConfig, sensing: ObservationConfig, robot: Robot
     ) -> tuple[ObservationTerm, ...]:
         command = (
-            ObservationTerm("speed_command", ("x",), 2.0, 0.0, ((0, 1.0),), ((0, -1.0),),
+            ObservationTerm("speed_command", ("x",), 2.0, 0.0, ((0, -1.0),),
                             lambda s, c: c.speed.unsqueeze(-1)),
-            ObservationTerm("yaw_rate_command", ("z",), 0.25, 0.0, ((0, -1.0),), ((0, -1.0),),
+            ObservationTerm("yaw_rate_command", ("z",), 0.25, 0.0, ((0, -1.0),),
                             lambda s, c: yaw_rate(s, c, config.heading_gain, config.max_yaw_rate).unsqueeze(-1)),
         )  # fmt: skip
         return around_command(robot, sensing, command)
