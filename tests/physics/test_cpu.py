@@ -23,6 +23,7 @@ from arrive.robots import Robot
 from arrive.task.final import FinalConfig
 from arrive.task.rewards import Approach, Cost, Reward
 from arrive.terrain import FAMILIES, build_tile
+from arrive.terrain.tile import MAX_GEOMS
 from engines import DEFAULT, ROBOT, assert_same_reading, disturb, standing
 
 STATES = ("qpos", "qvel", "qacc_warmstart", "ctrl", "time")
@@ -32,7 +33,7 @@ STATES = ("qpos", "qvel", "qacc_warmstart", "ctrl", "time")
 def world(family: str = "flat") -> mujoco.MjModel:
     kind = FAMILIES[family]
     tile = build_tile(kind, (kind.lowest + kind.highest) / 2, np.random.default_rng(0), "training")
-    return compile_world(ROBOT, tile, PhysicsConfig())
+    return compile_world(ROBOT, tile, PhysicsConfig(), places=MAX_GEOMS)
 
 
 def an_engine(num_envs: int, families: tuple[str, ...] = ("flat",), threads: int = 1) -> CpuPhysics:

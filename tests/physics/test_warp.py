@@ -25,6 +25,7 @@ from arrive.physics.options import with_decimation
 from arrive.physics.world import compile_world
 from arrive.presets import PAPER_REWARDS, robust
 from arrive.terrain import FAMILIES, build_tile
+from arrive.terrain.tile import MAX_GEOMS
 from engines import DEFAULT, ROBOT, assert_same_reading, disturb, standing
 from loading import ROOT
 
@@ -50,7 +51,7 @@ def world(family: str, config: PhysicsConfig = ONE_STEP, friction: float = 0.8, 
     kind = FAMILIES[family]
     value = kind.lowest + 0.3 * (kind.highest - kind.lowest)
     tile = build_tile(kind, value, np.random.default_rng(0), "training")
-    return compile_world(ROBOT, tile, config, friction, payload)
+    return compile_world(ROBOT, tile, config, friction, payload, places=MAX_GEOMS)
 
 
 def pair(families: tuple[str, ...], num_envs: int, config: PhysicsConfig = ONE_STEP) -> tuple[CpuPhysics, WarpPhysics]:

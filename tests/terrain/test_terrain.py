@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 
 from arrive.build import build_env
 from arrive.errors import ArriveError
-from arrive.physics.scene import add_tile
+from arrive.physics.scene import PARKED_Z, add_tile
 from arrive.recipe import make_config
 from arrive.terrain import FAMILIES, build_tile, get_family, parse_families
 from arrive.terrain.build import target_share
@@ -42,7 +42,7 @@ def model_of(name: str, layout: str, level: int) -> tuple[Tile, mujoco.MjModel]:
 def model_with_ball(tile: Tile) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.005
-    add_tile(spec, tile)
+    add_tile(spec, tile, MAX_GEOMS)
     ball = spec.worldbody.add_body(name="ball", pos=(0, 0, 2 * BALL_RADIUS))
     ball.add_freejoint()
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(BALL_RADIUS, 0, 0), mass=1.0, contype=1, conaffinity=0)
@@ -85,8 +85,14 @@ def test_rays_find_the_heights_of_the_raster(name, layout, level):
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_all_models_have_the_same_number_of_geoms():
-    assert {model_of(*case)[1].ngeom for case in CASES} == {MAX_GEOMS + 1}
+@pytest.mark.parametrize("places", [None, MAX_GEOMS])
+def test_a_tile_takes_the_places_it_is_given_and_parks_those_it_does_not_need(places):
+    for name, layout, level in CASES:
+        tile, spec = tile_at(name, layout, level), mujoco.MjSpec()
+        add_tile(spec, tile, places)
+        model = spec.compile()
+        assert model.ngeom == (tile.num_geoms if places is None else places)
+        assert np.count_nonzero(model.geom_pos[:, 2] > PARKED_Z) == tile.num_geoms
 
 
 def test_batch_accepts_all_models_and_a_ball_rests_on_the_start_of_each():

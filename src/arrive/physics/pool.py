@@ -86,29 +86,29 @@ def build_pool(
     """
     rng = np.random.default_rng(seed)
     tiles: list[Tile] = []
-    worlds: list[mujoco.MjModel] = []
-    tile_of_world: list[int] = []
+    drawn: list[tuple[int, float, float]] = []
     most = max(len(levels) for levels in tile_set.values)
-    total = tile_set.variants * sum(len(levels) for levels in tile_set.values)
     index = torch.zeros(len(tile_set.families), most, tile_set.variants, dtype=torch.long)
     for f, (family, levels) in enumerate(zip(tile_set.families, tile_set.values, strict=True)):
         for level, value in enumerate(levels):
             for variant in range(tile_set.variants):
                 if variant == 0 or family.random:
                     tiles.append(build_tile(family, value, rng, tile_set.layout, robot.size, tile_set.target_distance))
-                index[f, level, variant] = len(worlds)
-                tile_of_world.append(len(tiles) - 1)
-                friction, payload = rng.uniform(*spread.friction), rng.uniform(*spread.payload_kg)
-                worlds.append(compile_world(robot, tiles[-1], physics, friction, payload))
-                progress(len(worlds), total)
+                index[f, level, variant] = len(drawn)
+                drawn.append((len(tiles) - 1, rng.uniform(*spread.friction), rng.uniform(*spread.payload_kg)))
         index[f, len(levels) :] = index[f, len(levels) - 1]
+    places = max(tile.num_geoms for tile in tiles)
+    worlds: list[mujoco.MjModel] = []
+    for tile, friction, payload_kg in drawn:
+        worlds.append(compile_world(robot, tiles[tile], physics, friction, payload_kg, places=places))
+        progress(len(worlds), len(drawn))
     rasters = stack_rasters(tiles)
     return WorldPool(
         families=tile_set.families,
         values=tile_set.values,
         worlds=tuple(worlds),
         world_index=index,
-        tile_of_world=torch.tensor(tile_of_world),
+        tile_of_world=torch.tensor([tile for tile, _, _ in drawn]),
         rasters=rasters,
         tiles=tuple(rasters.shared_with(tile, i) for i, tile in enumerate(tiles)),
     )

@@ -3,8 +3,7 @@
 import mujoco
 import numpy as np
 
-from arrive.errors import ArriveError
-from arrive.terrain.tile import MAX_GEOMS, HeightField, Tile
+from arrive.terrain.tile import HeightField, Tile
 
 GREY = (0.62, 0.62, 0.60)
 PARKED_Z = -100.0
@@ -17,20 +16,18 @@ FIELD_BASE = 1.0
 """Thickness of a height field below its lowest point [m]."""
 
 
-def add_tile(spec: mujoco.MjSpec, tile: Tile) -> None:
-    """Add a tile to the world body as exactly `MAX_GEOMS` geoms called terrain_0, terrain_1, ...
+def add_tile(spec: mujoco.MjSpec, tile: Tile, places: int | None = None) -> None:
+    """Add a tile to the world body as geoms called terrain_0, terrain_1, ...
 
-    Boxes come first, and a height field takes the last place. Unused geoms are placed far below, so that every model
-    has the same number of geoms, which `Batch.set_models` requires. Terrain geoms collide only with geoms whose contype
-    has bit 0, and are in group 0.
+    Boxes come first, and a height field takes the last place. Terrain geoms collide only with geoms whose contype has
+    bit 0, and are in group 0.
 
-    Raises:
-        ArriveError: the tile has too many shapes.
+    Args:
+        places: number of geoms, at least the tile's own and by default just those. Unused ones are placed far below.
+            All models of a batch need the same number; each one costs time at every physics step.
     """
-    num_boxes = MAX_GEOMS - (tile.height_field is not None)
-    if len(tile.boxes) > num_boxes:
-        raise ArriveError(f"a tile has {len(tile.boxes)} boxes, but only {num_boxes} fit")
-    for k in range(num_boxes):
+    places = tile.num_geoms if places is None else places
+    for k in range(places - (tile.height_field is not None)):
         geom = _add_geom(spec, tile, k)
         geom.type = mujoco.mjtGeom.mjGEOM_BOX
         if k < len(tile.boxes):
@@ -39,7 +36,7 @@ def add_tile(spec: mujoco.MjSpec, tile: Tile) -> None:
         else:
             geom.pos, geom.size = (0.0, 0.0, PARKED_Z), (0.01, 0.01, 0.01)
     if tile.height_field is not None:
-        _add_height_field(spec, tile, tile.height_field)
+        _add_height_field(spec, tile, tile.height_field, places - 1)
 
 
 def pave(spec: mujoco.MjSpec) -> None:
@@ -70,8 +67,8 @@ def _add_geom(spec: mujoco.MjSpec, tile: Tile, place: int, colour: int | None = 
     )
 
 
-def _add_height_field(spec: mujoco.MjSpec, tile: Tile, field: HeightField) -> None:
-    """Add the height field in the last place, in the palette's colour after the boxes.
+def _add_height_field(spec: mujoco.MjSpec, tile: Tile, field: HeightField, place: int) -> None:
+    """Add the height field in the palette's colour after the boxes.
 
     MuJoCo scales the data to 0..1 and multiplies it by `size[2]`. Its rows run along y.
     """
@@ -85,7 +82,7 @@ def _add_height_field(spec: mujoco.MjSpec, tile: Tile, field: HeightField) -> No
         ncol=count_x,
         userdata=field.heights.T.ravel(),
     )
-    geom = _add_geom(spec, tile, MAX_GEOMS - 1, colour=len(tile.boxes))
+    geom = _add_geom(spec, tile, place, colour=len(tile.boxes))
     geom.type = mujoco.mjtGeom.mjGEOM_HFIELD
     geom.hfieldname = FIELD_NAME
     geom.pos = (0.0, 0.0, lowest)

@@ -15,7 +15,6 @@ from arrive.physics.scene import PARKED_Z
 from arrive.physics.world import world_spec
 from arrive.robots.robot import Robot
 from arrive.terrain.rasterise import assemble
-from arrive.terrain.tile import MAX_GEOMS
 
 THIN_FIELD_BASE = 0.1
 """Thickness of height fields below their lowest point [m]. With 1 m, float32 collision fails more often."""
@@ -38,7 +37,7 @@ def build_template(robot: Robot, worlds: Sequence[mujoco.MjModel], config: Physi
 
     Only the foot velocity sensors are kept, because the engine counts contacts itself.
     """
-    spec = world_spec(robot, assemble([]), config)
+    spec = world_spec(robot, assemble([]), config, places=terrain_geoms(worlds[0]))
     fields = [world for world in worlds if world.nhfield]
     for index, world in enumerate(fields):
         spec.add_hfield(
@@ -118,10 +117,10 @@ def _geom_places(world: mujoco.MjModel, template: mujoco.MjModel) -> np.ndarray:
     Both begin with the terrain. If any world has a height field, the template has one more terrain geom for it, at the
     end. In a world, the height field is the last terrain geom.
     """
-    places = np.arange(world.ngeom)
-    places[MAX_GEOMS:] += template.ngeom - world.ngeom
+    places, terrain = np.arange(world.ngeom), terrain_geoms(world)
+    places[terrain:] += template.ngeom - world.ngeom
     if world.nhfield:
-        places[MAX_GEOMS - 1] = MAX_GEOMS
+        places[terrain - 1] = terrain
     return places
 
 
@@ -129,7 +128,7 @@ def _field_ids(template: mujoco.MjModel, worlds: Sequence[mujoco.MjModel]) -> np
     """(num_worlds, template.ngeom) data of each geom: the world's own height field, or else the unused first one."""
     ids = np.repeat(template.geom_dataid[None], len(worlds), axis=0)
     own = np.cumsum([world.nhfield for world in worlds]) - 1
-    ids[:, MAX_GEOMS] = [index if world.nhfield else 0 for index, world in zip(own, worlds, strict=True)]
+    ids[:, terrain_geoms(worlds[0])] = [index if world.nhfield else 0 for index, world in zip(own, worlds, strict=True)]
     return ids
 
 
@@ -141,6 +140,11 @@ def _check_options(template: mujoco.MjModel, world: mujoco.MjModel) -> None:
             continue
         if not np.array_equal(getattr(world.opt, name), value):
             raise ArriveError(f"a world was compiled with another value of option {name} than in the configuration")
+
+
+def terrain_geoms(world: mujoco.MjModel) -> int:
+    """Number of a world's terrain geoms; they come first."""
+    return int(world.body_geomnum[0])
 
 
 def static_geoms(template: mujoco.MjModel) -> slice:

@@ -86,12 +86,14 @@ def _collision_geoms(body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
         yield from _collision_geoms(child)
 
 
-def world_spec(robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = False) -> mujoco.MjSpec:
-    """The uncompiled robot on a tile. `visuals` adds the visual shapes."""
+def world_spec(
+    robot: Robot, tile: Tile, config: PhysicsConfig, visuals: bool = False, places: int | None = None
+) -> mujoco.MjSpec:
+    """The uncompiled robot on a tile. `visuals` adds the visual shapes; for `places` see `add_tile`."""
     spec = robot.build_spec(visuals)
     if config.leg_contacts:
         let_legs_collide(spec, robot)
-    add_tile(spec, tile)
+    add_tile(spec, tile, places)
     if visuals:
         pave(spec)
     apply_options(spec, config)
@@ -107,17 +109,19 @@ def compile_world(
     friction: float = 1.0,
     payload_kg: float = 0.0,
     visuals: bool = False,
+    places: int | None = None,
 ) -> mujoco.MjModel:
     """Compile the robot on a tile.
 
     Args:
         friction: sliding friction coefficient of every contact (see `PhysicsConfig.cone`).
         payload_kg: mass added to the base at its centre of mass, may be negative [kg].
+        places: number of terrain geoms, see `add_tile`.
 
     Raises:
         ArriveError: the payload removes more mass than the base has.
     """
-    spec = world_spec(robot, tile, config, visuals)
+    spec = world_spec(robot, tile, config, visuals, places)
     for geom in spec.geoms:
         geom.friction[0] = friction
     _add_payload(spec, robot, payload_kg)

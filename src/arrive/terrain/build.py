@@ -45,9 +45,8 @@ def build_tile(
 
 def _ground_problem(tile: Tile, size: float) -> str:
     """What is wrong with the shapes, or an empty string."""
-    num_geoms = len(tile.boxes) + (tile.height_field is not None)
-    if num_geoms > MAX_GEOMS:
-        return f"it has {num_geoms} geoms; at most {MAX_GEOMS} are allowed"
+    if tile.num_geoms > MAX_GEOMS:
+        return f"it has {tile.num_geoms} geoms; at most {MAX_GEOMS} are allowed"
     if not (tile.heights > DEEP_FLOOR).all():
         return f"{np.count_nonzero(~(tile.heights > DEEP_FLOOR))} cells of the raster have no ground"
     x, y = cell_grid()

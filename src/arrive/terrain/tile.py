@@ -10,7 +10,7 @@ RASTER_HALF = 7.0
 """Half the edge of the square that rasters cover, centred at the tile's origin [m]."""
 RASTER_SIZE = round(2 * RASTER_HALF / RASTER_CELL)
 MAX_GEOMS = 64
-"""Number of terrain geoms that every tile compiles to. Unused ones are placed far below the ground."""
+"""Most shapes of a tile."""
 
 START_RADIUS = 0.4
 """The ground is level this far around the start of a robot of ANYmal C's size [m]."""
@@ -59,6 +59,11 @@ class Tile:
     """A base below this height has fallen into a hole [m]."""
     palette: tuple[tuple[float, float, float], ...] = field(default=())
     """Optional RGB colour of each box and then of the height field; the rest is grey."""
+
+    @property
+    def num_geoms(self) -> int:
+        """Number of its shapes."""
+        return len(self.boxes) + (self.height_field is not None)
 
 
 def cell_centers() -> np.ndarray:
