@@ -41,7 +41,9 @@ def robust() -> Config:
         num_envs=1024,
         terrain=TerrainConfig(levels=30, demotion_share=0.5),
         observation=ObservationConfig(
-            heights=HeightsConfig(scale=2.0, clip=(-1.0, 0.4), length=2.0, width=1.25, step=0.125)
+            heights=HeightsConfig(
+                noise=0.05, scale=2.0, clip=(-1.0, 0.4), length=2.0, width=1.25, step=0.125, samples=3
+            )
         ),
         task=FinalConfig(
             episode_s=8.0,

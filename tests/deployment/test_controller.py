@@ -31,7 +31,7 @@ from arrive.deployment.terms import COMPUTED
 from arrive.env import POLICY
 from arrive.errors import ArriveError
 from arrive.learning.policy import load_policy
-from controllers import AHEAD, DT, an_env, assert_safe, flat, sensors_of, standing, step
+from controllers import AHEAD, DT, POINTS, an_env, assert_safe, flat, sensors_of, standing, step
 
 # The same as in training.
 
@@ -128,8 +128,8 @@ BAD_GOALS = {
 }
 BAD_TERRAINS = {
     "few": GridHeights(np.zeros(10), 1.0),
-    "infinite": GridHeights(np.full(187, np.inf), 1.0),
-    "old": GridHeights(np.zeros(187), -5.0),
+    "infinite": GridHeights(np.full(POINTS, np.inf), 1.0),
+    "old": GridHeights(np.zeros(POINTS), -5.0),
     "text": GridHeights("flat", 1.0),
     "none": "flat",
     "no cell": HeightMap((0, 0), 0.0, np.zeros((3, 3)), 1.0),
@@ -185,7 +185,7 @@ def test_random_states_never_give_an_unsafe_target(controller):
         changes = {name: scale * rng.normal(size=12) for name in ("joint_pos", "joint_vel")}
         changes["base_quat_w"] = (quat := rng.normal(size=4)) / np.linalg.norm(quat)
         changes |= {name: scale * rng.normal(size=3) for name in ("base_pos_w", "base_lin_vel_b", "base_ang_vel_b")}
-        step(controller, i * DT, terrain=GridHeights(scale * rng.normal(size=187), i * DT), **changes)
+        step(controller, i * DT, terrain=GridHeights(scale * rng.normal(size=POINTS), i * DT), **changes)
 
 
 def test_safe_stance_glides_to_the_default_pose_and_recovers_after_half_a_second(controller):
@@ -245,7 +245,7 @@ class Trot:
             "base_quat_w": np.array([1.0, 0.0, 0.0, 0.0]),
             "base_lin_vel_b": np.array([0.5, 0.0, 0.0]),
             "base_ang_vel_b": np.zeros(3),
-            "heights": np.zeros(187),
+            "heights": np.zeros(POINTS),
             "sensors_time": i * DT,
             "terrain_time": i * DT,
             "now": i * DT,
@@ -467,7 +467,7 @@ def test_objects_that_raise_mean_the_safe_stance(controller):
         (lambda s, g, t: (s, g, HeightMap(0.1, (0, 0), np.zeros((9, 9)), 0.0)), "Are arguments swapped?"),
         (lambda s, g, t: (s, g, HeightMap((0, 0), -1.0, np.zeros((9, 9)), 0.0)), "resolution_m above 0, not -1"),
         (lambda s, g, t: (s, g, PointCloud(np.zeros((3, 9)), 0.0)), "points_w is of shape (3, 9), not (n, 3)"),
-        (lambda s, g, t: (s, g, GridHeights(0.0, np.zeros(187))), "heights_w is of shape (), not 1 dimension"),
+        (lambda s, g, t: (s, g, GridHeights(0.0, np.zeros(POINTS))), "heights_w is of shape (), not 1 dimension"),
     ],
 )
 def test_swapped_arguments_are_reported(controller, arguments, reason):
@@ -550,7 +550,8 @@ from arrive.deployment import Controller, GridHeights, Joystick, Sensors
 controller = Controller.load(sys.argv[1])
 robot = controller.policy.robot
 sensors = Sensors(robot.default_joint_pos_rad, np.zeros(12), (0, 0, 0.5), (1, 0, 0, 0), np.zeros(3), np.zeros(3), 0.0)
-command = controller.step(sensors, Joystick(1.0, 0.0), GridHeights(np.zeros(187), 0.0), 0.0)
+ground = GridHeights(np.zeros(len(controller.policy.grid.points_m)), 0.0)
+command = controller.step(sensors, Joystick(1.0, 0.0), ground, 0.0)
 assert not FORBIDDEN & {name.split(".")[0] for name in sys.modules}, sys.modules
 print(command.mode, command.targets.tolist())
 """

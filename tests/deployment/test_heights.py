@@ -10,7 +10,7 @@ from arrive.deployment.heights import HeightSampler
 from arrive.deployment.inputs import frame_of
 from arrive.deployment.specs import GridSpec
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF
-from controllers import DT, an_env, sensors_of, step
+from controllers import DT, POINTS, an_env, sensors_of, step
 
 
 def small_grid() -> HeightSampler:
@@ -70,12 +70,12 @@ def test_unseen_points_take_the_nearest_seen_height_else_the_ground_under_the_ro
 
 
 def test_map_with_holes_is_walked_on_and_a_blind_one_is_not(controller):
-    heights = np.zeros(187)
+    heights = np.zeros(POINTS)
     heights[::3] = np.nan
     assert step(controller, 0.0, terrain=GridHeights(heights, 0.0)).mode == "joystick"
-    heights[:50] = np.nan
+    heights[: POINTS // 3] = np.nan
     command = step(controller, DT, terrain=GridHeights(heights, DT))
     assert command.mode == "joystick"
     assert "of the ground seen" in command.reason
-    command = step(controller, 2 * DT, terrain=GridHeights(np.full(187, np.nan), 2 * DT))
+    command = step(controller, 2 * DT, terrain=GridHeights(np.full(POINTS, np.nan), 2 * DT))
     assert (command.mode, command.reason) == ("safe", "only 0% of the ground was seen")

@@ -217,6 +217,10 @@ HOSTILE = {
     "zero grid step": (put("heights", "step_m", 0.0), "heights.step_m"),
     "a point elsewhere": (put("heights", "points_m", 5, [9.0, 9.0]), "not a complete grid"),
     "no points": (put("heights", "points_m", []), "heights.points_m"),
+    "no samples": (put("heights", "samples", 0), "heights.samples"),
+    "half a sample": (put("heights", "samples", 0.5), "heights.samples"),
+    "squares that do not fit": (put("heights", "samples", 5), "heights.samples is 5, which does not divide a grid"),
+    "other squares": (put("heights", "samples", 1), "heights"),
     "clips of one side": (put("heights", "clip_m", [0.1, 0.4]), "heights.clip_m"),
     "golden zeros": (
         edit("golden", lambda golden: golden.update({x: (0 * np.array(golden[x])).tolist() for x in GOLDEN})),

@@ -9,6 +9,7 @@ from arrive.build import Placement, build_env
 from arrive.config import Config, override
 from arrive.deployment import Controller, GridHeights, Joystick, Sensors
 from arrive.presets import get_preset
+from arrive.task.heights import HeightGrid
 from arrive.terrain import FAMILIES
 
 DT = 0.02
@@ -24,6 +25,8 @@ CONFIG = override(
         "randomisation.push_speed=0",
     ),
 )
+
+POINTS = len(HeightGrid(CONFIG.observation.heights).points)
 
 
 def an_env(family: str):
@@ -55,7 +58,7 @@ def standing(controller: Controller, now: float, **changes) -> Sensors:
 
 
 def flat(time_s: float) -> GridHeights:
-    return GridHeights(np.zeros(187), time_s)
+    return GridHeights(np.zeros(POINTS), time_s)
 
 
 def step(controller: Controller, now: float, goal=AHEAD, terrain=None, **changes):

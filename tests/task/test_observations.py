@@ -29,15 +29,21 @@ TERMS = (
     "heights",
 )
 SIZES = (3, 3, 3, 3, 1, 12, 12, 12, 17 * 11)
+PAPER_HEIGHTS = HeightsConfig()
 NOISY = {"base_lin_vel", "base_ang_vel", "gravity", "joint_pos", "joint_vel", "heights"}
 
 
-def an_env(num_envs: int, families: tuple[str, ...] = ("flat",), noise: bool = False) -> ArriveEnv:
+def an_env(
+    num_envs: int,
+    families: tuple[str, ...] = ("flat",),
+    noise: bool = False,
+    heights: HeightsConfig = PAPER_HEIGHTS,
+) -> ArriveEnv:
     """Robots on the first family's hardest level, the second's, and so on; nothing happens to them."""
     config = Config(
         num_envs=num_envs,
         terrain=TerrainConfig(families=families, variants=1),
-        observation=ObservationConfig(noise=noise),
+        observation=ObservationConfig(noise=noise, heights=heights),
         randomisation=RandomisationConfig(push_speed=0.0),
         task=FinalConfig(rewards=PAPER_REWARDS),
     )
@@ -153,12 +159,36 @@ def test_the_height_grid_lies_before_a_robot_as_its_labels_say():
     np.testing.assert_allclose(heights, expected, atol=1e-5)
 
 
-def test_the_labels_of_the_height_grid_are_its_points():
-    """Also on the grid of the preset `robust`, whose points are 0.125 m apart."""
+def test_the_labels_of_the_height_grid_are_its_cells():
+    """Also on the grid of the preset `robust`, whose cells are 0.125 m apart."""
     for heights in (HeightsConfig(), robust().observation.heights):
         terms = observation_terms(get_robot("anymal_c"), ObservationConfig(heights=heights), 6.0)
-        points = [tuple(map(float, label.strip("()").split(","))) for label in terms[-1].labels]
-        np.testing.assert_allclose(points, HeightGrid(heights).points, atol=1e-6)
+        cells = [tuple(map(float, label.strip("()").split(","))) for label in terms[-1].labels]
+        np.testing.assert_allclose(cells, HeightGrid(heights).cells, atol=1e-6)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+def test_the_points_of_a_height_grid_are_regular_and_surround_their_cells(samples):
+    grid = HeightGrid(HeightsConfig(length=0.4, width=0.2, step=0.1, samples=samples))
+    x, y = (torch.unique(column.round(decimals=5)) for column in grid.points.T)
+    assert (len(x), len(y)) == (5 * samples, 3 * samples)
+    for along in (x, y):
+        np.testing.assert_allclose(along.diff(), 0.1 / samples, atol=1e-5)
+    for column in range(2):
+        np.testing.assert_allclose(grid.pooled(grid.points[None, :, column])[0], grid.cells[:, column], atol=1e-6)
+
+
+def test_a_height_sample_is_the_mean_of_the_clipped_heights_of_its_points():
+    """A robot 0.03 m before a pit's wall, which is higher than the clip: half of a cell's points are on it."""
+    heights = HeightsConfig(length=0.4, width=0.2, step=0.1, clip=(-0.3, 0.4), samples=2)
+    env = an_env(1, ("pit",), heights=heights)
+    qpos = np.zeros((1, 19))
+    qpos[0, :7] = 1.4, 0.0, 0.7, 1.0, 0.0, 0.0, 0.0  # the wall at x = 1.5 runs through the cells 0.1 m ahead
+    put(env, qpos, np.zeros((1, 18)))
+    rows = sensed(env)["heights"][0].reshape(5, 3)
+    np.testing.assert_allclose(rows[:3], 0.2, atol=1e-5)
+    np.testing.assert_allclose(rows[3], (0.2 - 0.3) / 2, atol=1e-5)
+    np.testing.assert_allclose(rows[4], -0.3, atol=1e-5)
 
 
 def grid_cells(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -96,9 +96,10 @@ def policy_sections(config: Config) -> dict[str, Any]:
         "heights": {
             # Rounded, because in float32 0.1 has many digits.
             "points_m": [[round(x, 6) for x in point] for point in grid.points.tolist()],
-            "step_m": heights.step,
+            "step_m": heights.step / heights.samples,
             "offset_m": height_offset(robot),
             "clip_m": list(heights.clip),
+            **({"samples": heights.samples} if heights.samples > 1 else {}),
         },
         "task": {
             "name": config.task.name,

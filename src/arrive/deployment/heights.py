@@ -59,7 +59,7 @@ class HeightSampler:
         """(points, 2) in the heading frame [m]."""
         self._step = spec.step_m
         self._low = self.points.min(axis=0)
-        self._shape = tuple(np.rint((self.points.max(axis=0) - self._low) / self._step).astype(int) + 1)
+        self._shape = spec.shape
         distance = np.linalg.norm(self.points[:, None] - self.points[None], axis=-1)
         near = distance <= FILL_RADIUS + 1e-6
         order = np.argsort(np.where(near, distance, np.inf), axis=1, kind="stable")[:, : near.sum(1).max()]

@@ -99,11 +99,17 @@ def check_grid(grid: GridSpec) -> None:
     if max(-low.min(), high.max()) > LARGEST_LENGTH_M:
         raise Implausible("heights.points_m are too far away")
     nx, ny = (np.rint((high - low) / step) + 1).astype(int)
-    if nx * ny == len(points):
-        whole = low + step * np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
-        if np.abs(points - whole).max() <= SAME_M:
-            return
-    raise Implausible("heights.points_m are not a complete grid with a spacing of heights.step_m")
+    if nx * ny != len(points) or not _is_grid(points, low, step, nx, ny):
+        raise Implausible("heights.points_m are not a complete grid with a spacing of heights.step_m")
+    samples = grid.samples
+    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1 or nx % samples or ny % samples:
+        raise Implausible(f"heights.samples is {samples!r}, which does not divide a grid of {nx} x {ny} points")
+
+
+def _is_grid(points: np.ndarray, low: np.ndarray, step: float, nx: int, ny: int) -> bool:
+    """Whether these are nx x ny points from `low` on, x slowest."""
+    whole = low + step * np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
+    return bool(np.abs(points - whole).max() <= SAME_M)
 
 
 def check_task(task: TaskSpec) -> None:

@@ -1,6 +1,9 @@
 """The robot, observation and task that an exported policy describes."""
 
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 PerJoint = float | list[float]
 """One number for all joints, or a list in the order of `joint_names`."""
@@ -49,15 +52,30 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class GridSpec:
-    """The grid of points at which the network needs the ground height."""
+    """The grid of points at which the controller needs the ground height, and what the network receives of it."""
 
     points_m: list[list[float]]
     """x forward and y left of the base, in the heading frame."""
     step_m: float
+    """Distance between points."""
     offset_m: float
     """Heights are relative to a point this far below the base, positive down."""
     clip_m: list[float]
     """Range to which relative heights are clipped."""
+    samples: int = 1
+    """The network receives the mean of each square of this many points per side, after clipping."""
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """Number of points along x and y."""
+        points = np.array(self.points_m)
+        rows, columns = np.rint((points.max(axis=0) - points.min(axis=0)) / self.step_m).astype(int) + 1
+        return int(rows), int(columns)
+
+    @property
+    def num_heights(self) -> int:
+        """Number of heights that the network receives."""
+        return len(self.points_m) // self.samples**2
 
 
 @dataclass(frozen=True)

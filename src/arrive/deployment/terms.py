@@ -53,7 +53,11 @@ def _joints(policy: PolicyFile) -> int:
 def _heights(moment: Moment) -> np.ndarray:
     grid = moment.policy.grid
     below = moment.frame.base_pos_w[2] - grid.offset_m - moment.heights_w
-    return np.minimum(np.maximum(below, grid.clip_m[0]), grid.clip_m[1])
+    clipped = np.minimum(np.maximum(below, grid.clip_m[0]), grid.clip_m[1])
+    if grid.samples == 1:
+        return clipped
+    rows, columns = (count // grid.samples for count in grid.shape)
+    return clipped.reshape(rows, grid.samples, columns, grid.samples).mean(axis=(1, 3)).ravel()
 
 
 COMPUTED: dict[str, ObservedTerm] = {
@@ -65,7 +69,7 @@ COMPUTED: dict[str, ObservedTerm] = {
     "joint_pos": ObservedTerm(_joints, lambda m: m.frame.joint_pos - m.default),
     "joint_vel": ObservedTerm(_joints, lambda m: m.frame.joint_vel),
     "action": ObservedTerm(_joints, lambda m: m.action),
-    "heights": ObservedTerm(lambda policy: len(policy.grid.points_m), _heights),
+    "heights": ObservedTerm(lambda policy: policy.grid.num_heights, _heights),
 }
 """The terms of `arrive.terms` that the controller can compute."""
 

@@ -1,7 +1,6 @@
 """The grid of terrain heights around the robot."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, ClassVar
 
 import torch
@@ -31,6 +30,9 @@ class HeightsConfig:
     """Extent of the grid across the heading [m]."""
     step: Annotated[float, Range(0.01, RASTER_HALF)] = 0.1
     """Distance between height samples [m]."""
+    samples: Annotated[int, Range(1, 10)] = 1
+    """Points per side of a square of `step`, over whose clipped heights a height sample is the mean. With 1, it is the
+    height of its one point, and the policy does not see where between two samples an edge lies."""
 
     def rules(self) -> tuple[Rule, ...]:
         """Conditions between fields."""
@@ -38,22 +40,33 @@ class HeightsConfig:
 
 
 class HeightGrid:
-    """Points around the base, aligned with its heading, at which the ground height is looked up."""
+    """Square cells around the base, aligned with its heading, and the points at which their height is looked up.
+
+    Cells and points have coordinates in the heading frame [m]. x runs slowest, both from negative to positive.
+    """
 
     def __init__(self, config: HeightsConfig):
-        self._length, self._width, self._step = config.length, config.width, config.step
+        """Place the cells and each one's `samples` x `samples` points."""
+        x = _symmetric_range(config.length, config.step)
+        y = _symmetric_range(config.width, config.step)
+        self._shape, self._samples = (len(x), len(y)), config.samples
+        within = (torch.arange(config.samples) - (config.samples - 1) / 2) * (config.step / config.samples)
+        self.cells = torch.cartesian_prod(x, y)
+        """(cells, 2) centres."""
+        self.points = torch.cartesian_prod(*((along[:, None] + within).flatten() for along in (x, y)))
+        """(points, 2) a regular grid."""
 
-    @cached_property
-    def points(self) -> Tensor:
-        """(points, 2) in the heading frame [m]; x runs slowest, both from negative to positive."""
-        x = _symmetric_range(self._length, self._step)
-        y = _symmetric_range(self._width, self._step)
-        return torch.cartesian_prod(x, y)
+    def pooled(self, values: Tensor) -> Tensor:
+        """(n, cells) means over the points of each cell of (n, points) values."""
+        if self._samples == 1:
+            return values
+        rows, columns = self._shape
+        return values.view(-1, rows, self._samples, columns, self._samples).mean((2, 4)).flatten(1)
 
     def reverse(self) -> list[int]:
-        """For each point, the index of its front-back mirror image."""
-        count_y = len(_symmetric_range(self._width, self._step))
-        return [len(self.points) - count_y - i + 2 * (i % count_y) for i in range(len(self.points))]
+        """For each cell, the index of its front-back mirror image."""
+        count_y = self._shape[1]
+        return [len(self.cells) - count_y - i + 2 * (i % count_y) for i in range(len(self.cells))]
 
 
 def _symmetric_range(extent: float, step: float) -> Tensor:

@@ -140,7 +140,7 @@ def around_command(
     joints = robot.joint_names
     reverse_joints = reverse_map(robot)
     grid, clip, offset = HeightGrid(config.heights), config.heights.clip, height_offset(robot)
-    cells = tuple(f"({x:g}, {y:g})" for x, y in grid.points.tolist())
+    cells = tuple(f"({x:g}, {y:g})" for x, y in grid.cells.tolist())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
     return (
         ObservationTerm("base_lin_vel", XYZ, 2.0, config.base_lin_vel.noise, VECTOR_REVERSE,
@@ -154,7 +154,7 @@ def around_command(
         ObservationTerm("joint_vel", joints, 0.05, config.joint_vel.noise, reverse_joints, lambda s, c: s.joint_vel),
         ObservationTerm("action", joints, 1.0, 0.0, reverse_joints, lambda s, c: s.action),
         ObservationTerm("heights", cells, config.heights.scale, config.heights.noise, reverse_cells,
-                        lambda s, c: relative_heights(s, offset).clamp(*clip),
+                        lambda s, c: grid.pooled(relative_heights(s, offset).clamp(*clip)),
                         f", {offset:g} m below the base, positive down"),
     )  # fmt: skip
 

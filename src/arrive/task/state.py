@@ -51,7 +51,7 @@ class State:
     foot_contacts: Tensor
     """(n, feet) number of contacts of each foot."""
     heights_w: Tensor
-    """(n, points) ground height under each point of the yaw-aligned grid around the base [m]."""
+    """(n, points) ground height under each point of `HeightGrid` [m]."""
     fall_height: Tensor
     """(n,) a base below this height has fallen into a hole [m]."""
     finite: Tensor
