@@ -5,8 +5,6 @@ import contextlib
 import logging
 import math
 import random
-import socket
-import threading
 import time
 from collections.abc import Callable
 
@@ -16,48 +14,16 @@ pytest.importorskip("viser")
 
 import msgspec
 import viser
-from websockets.asyncio.client import connect
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from arrive.errors import ArriveError
 from arrive.play.door import door_of
 from arrive.play.guard import LARGEST_MESSAGE, Guard, offers
-from arrive.play.playground import DURATIONS_S, Playground
-from arrive.play.server import open_server
-from arrive.play.session import Session
-from arrive.play.skills import open_skill
-from arrive.terrain.ground import ground_of
+from arrive.play.playground import DURATIONS_S
+from play_pages import CAMERA, CLICK, DRAG, Page, answers, read_all
 
-PROTOCOL = f"viser-v{viser.__version__}"
 FUZZED = 1000
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": (1.0, 0.0, 0.0, 0.0),
-    "position": (1.0, 2.0, 3.0),
-    "fov": 1.0,
-    "near": 0.01,
-    "far": 1000.0,
-    "image_height": 600,
-    "image_width": 800,
-    "look_at": (0.0, 0.0, 0.0),
-    "up_direction": (0.0, 0.0, 1.0),
-}
-CLICK = {
-    "type": "ScenePointerMessage",
-    "event_type": "click",
-    "ray_origin": (2.0, 0.0, 5.0),
-    "ray_direction": (0.0, 0.0, -1.0),
-    "screen_pos": ((0.5, 0.5),),
-    "modifier": None,
-}
-DRAG = {
-    "type": "TransformControlsUpdateMessage",
-    "name": "/world/target",
-    "wxyz": (1.0, 0.0, 0.0, 0.0),
-    "position": (1.0, 1.0, 0.5),
-    "owner": "",
-}
 HOSTILE = (
     math.nan,
     math.inf,
@@ -150,55 +116,11 @@ def test_an_empty_host_is_refused(host):
 # A page that is served.
 
 
-class Page:
-    """A running session, and what a browser needs to talk to it."""
-
-    def __init__(self, host: str = "127.0.0.1"):
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
-        self.playground = Playground(open_skill(None), ground_of("flat"))
-        self.server, self.door = open_server(host, self.port)
-        self.session = Session(self.server, self.playground)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self.session.run, args=(self._stop,))
-        self._thread.start()
-
-    @property
-    def origin(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
-
-    def connect(self, origin: str | None = None, **options):
-        """A connection as the page's script makes one."""
-        options.setdefault("additional_headers", {"Origin": origin or self.origin})
-        return connect(f"ws://127.0.0.1:{self.port}/", subprotocols=[PROTOCOL], max_size=None, **options)
-
-    def controls(self) -> dict[str, object]:
-        return dict(self.server.gui._gui_input_handle_from_uuid)
-
-    def alive(self) -> bool:
-        """Whether requests are carried out."""
-        done = threading.Event()
-        self.session.post(lambda playground: done.set())
-        return done.wait(10.0) and self._thread.is_alive()
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self.server.stop()
-
-
 @pytest.fixture
 def page():
     page = Page()
     yield page
     page.close()
-
-
-async def answers(page: Page, **options) -> bool:
-    """Whether a new browser is sent the scene."""
-    async with page.connect(**options) as browser:
-        await browser.send(msgspec.msgpack.encode(CAMERA))
-        return len(await asyncio.wait_for(browser.recv(), 10.0)) > 100
 
 
 def test_other_pages_cannot_reach_the_robot(page):
@@ -271,21 +193,14 @@ async def bombard(page: Page, heard: Callable[[], int], rng: random.Random) -> i
     return connections
 
 
-async def read_all(browser) -> None:
-    """Take whatever the server sends, as a browser does."""
-    with contextlib.suppress(ConnectionClosed):
-        while True:
-            await browser.recv()
-
-
 def test_no_message_harms_the_robot_or_other_browsers(page, caplog, monkeypatch):
-    heard, admits = [], Guard.admits
+    heard, admitted = [], Guard.admitted
 
-    def counted(guard: Guard, raw: bytes) -> bool:
-        heard.append(admits(guard, raw))
+    def counted(guard: Guard, raw: bytes) -> str:
+        heard.append(admitted(guard, raw))
         return heard[-1]
 
-    monkeypatch.setattr(Guard, "admits", counted)
+    monkeypatch.setattr(Guard, "admitted", counted)
     with caplog.at_level(logging.WARNING):
         connections = asyncio.run(bombard(page, lambda: len(heard), random.Random(1)))
         assert page.alive()

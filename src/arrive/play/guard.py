@@ -6,14 +6,11 @@ dropped.
 """
 
 import math
-import time
-from asyncio import sleep
 from collections.abc import Callable
 from typing import Any, TypeGuard
 
 import msgspec
 import viser
-from websockets.asyncio.server import ServerConnection
 
 from arrive.play.stick import parse_stick
 
@@ -24,10 +21,8 @@ FARTHEST = 1e4
 """Largest coordinate [m]."""
 LARGEST_SCREEN = 100_000
 """Largest width or height of a browser's window [px]."""
-MESSAGES_PER_S = 400
-"""Messages of one connection are read at most this fast. The page sends up to about 100."""
-PATIENCE = 100
-"""A connection is closed after this number of dropped messages."""
+CAMERA = "ViewerCameraMessage"
+"""Type of the first message of a page."""
 Fields = dict[str, Any]
 """The fields of a message, without its type."""
 
@@ -36,10 +31,10 @@ class Guard:
     """Decides which messages viser receives."""
 
     def __init__(self) -> None:
-        """Until `server` is set, all messages are dropped."""
+        """Until `server` is set, no control can be changed."""
         self.server: viser.ViserServer | None = None
         self._checks: dict[str, Callable[[Fields], bool]] = {
-            "ViewerCameraMessage": _camera_is_sound,
+            CAMERA: _camera_is_sound,
             "ScenePointerMessage": _click_is_sound,
             "TransformControlsUpdateMessage": _drag_is_sound,
             "TransformControlsDragStartMessage": _target_is_sound,
@@ -48,22 +43,24 @@ class Guard:
             "GuiUpdateMessage": self._update_is_sound,
         }
 
-    def admits(self, raw: bytes | str) -> bool:
-        """Whether viser receives a message. This never raises, whatever the message contains."""
-        if not isinstance(raw, bytes) or self.server is None:
-            return False
+    def admitted(self, raw: bytes | str) -> str:
+        """Type of a message that viser may receive; empty if it may not. This never raises, whatever the message is."""
+        if not isinstance(raw, bytes):
+            return ""
         try:
             fields = msgspec.msgpack.decode(raw)
-            return self._checks[fields.pop("type")](fields)
+            kind = str(fields.pop("type"))
+            return kind if self._checks[kind](fields) else ""
         except Exception:  # any fault in the bytes or the structure
-            return False
+            return ""
 
     def _update_is_sound(self, fields: Fields) -> bool:
         """The message sets only a value, which its control offers."""
         if set(fields) != {"uuid", "updates"} or set(fields["updates"]) != {"value"}:
             return False
+        if self.server is None:
+            return False
         # viser has no public way from a message to its control. If this one fails, the message is dropped.
-        assert self.server is not None
         control = self.server.gui._gui_input_handle_from_uuid.get(fields["uuid"])
         return control is not None and offers(control, fields["updates"]["value"])
 
@@ -77,35 +74,6 @@ def offers(control: Any, value: object) -> bool:
     if isinstance(control, viser.GuiDropdownHandle):
         return value in control.options
     return isinstance(control, viser.GuiTextHandle) and isinstance(value, str) and parse_stick(value) is not None
-
-
-def guarded(guard: Guard) -> type[ServerConnection]:
-    """A class of connections that only receive what the guard admits, at a limited rate."""
-
-    class GuardedConnection(ServerConnection):
-        _dropped, _second, _heard = 0, 0, 0
-
-        async def recv(self, *args: Any, **kwargs: Any) -> Any:
-            """The next message that is admitted."""
-            while True:
-                raw = await super().recv(*args, **kwargs)
-                await self._keep_pace()
-                if guard.admits(raw):
-                    return raw
-                self._dropped += 1
-                if self._dropped > PATIENCE:
-                    # Without a closing handshake: the server would wait for the answer of a hostile client.
-                    self.transport.abort()
-
-        async def _keep_pace(self) -> None:
-            now_s = time.monotonic()
-            if int(now_s) != self._second:
-                self._second, self._heard = int(now_s), 0
-            self._heard += 1
-            if self._heard > MESSAGES_PER_S:
-                await sleep(1.0 - now_s % 1.0)
-
-    return GuardedConnection
 
 
 def _camera_is_sound(fields: Fields) -> bool:

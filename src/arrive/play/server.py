@@ -1,9 +1,10 @@
-"""The web server: viser's, with our checks of requests (`door`) and messages (`guard`)."""
+"""The web server: viser's, with our checks of requests (`door`), connections (`connection`) and messages (`guard`)."""
 
 import contextlib
 import io
 import logging
 import socket
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,10 +14,11 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from arrive.errors import ArriveError
+from arrive.play.connection import Handler, limited, with_room
 from arrive.play.door import Door, door_of
-from arrive.play.guard import LARGEST_MESSAGE, Guard, guarded
+from arrive.play.guard import LARGEST_MESSAGE, Guard
 
-FORBIDDEN = 403
+FORBIDDEN, UNAVAILABLE = 403, 503
 Process = Callable[[ServerConnection, Request], Response | None]
 
 
@@ -36,6 +38,8 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
     except (OSError, OverflowError, UnicodeError) as error:
         raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
     guard = Guard()
+    # viser warns when a browser leaves while it is being sent something.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     # viser always prints a box with its own addresses.
     with _through(door, guard) as taken, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="arrive", verbose=False)
@@ -59,10 +63,10 @@ def _through(door: Door, guard: Guard) -> Iterator[list[bool]]:
     quiet.addHandler(logging.NullHandler())
     quiet.propagate = False
 
-    def serve_guarded(*args: Any, process_request: Process, **options: Any) -> Any:
+    def serve_guarded(handle: Handler, *args: Any, process_request: Process, **options: Any) -> Any:
         taken.append(True)
-        options |= {"max_size": LARGEST_MESSAGE, "create_connection": guarded(guard), "logger": quiet}
-        return serve(*args, process_request=_checked(door, process_request), **options)
+        options |= {"max_size": LARGEST_MESSAGE, "create_connection": limited(guard), "logger": quiet}
+        return serve(with_room(handle), *args, process_request=_checked(door, guard, process_request), **options)
 
     websockets.asyncio.server.serve = serve_guarded  # type: ignore[misc, assignment]
     try:
@@ -71,13 +75,15 @@ def _through(door: Door, guard: Guard) -> Iterator[list[bool]]:
         websockets.asyncio.server.serve = serve  # type: ignore[misc]
 
 
-def _checked(door: Door, answer: Process) -> Process:
-    """Answer only the requests that the door allows."""
+def _checked(door: Door, guard: Guard, answer: Process) -> Process:
+    """Answer only the requests that the door allows, once the server is complete."""
 
     def process(connection: ServerConnection, request: Request) -> Response | None:
         refusal = door.refusal(request.headers, request.path)
         if refusal:
             return connection.respond(FORBIDDEN, f"{refusal}\n")
+        if guard.server is None:
+            return connection.respond(UNAVAILABLE, "the page is starting\n")
         response = answer(connection, request)
         if response is not None:
             for name, value in door.welcome(request.path).items():
