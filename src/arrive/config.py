@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, brief
 from arrive.field_values import from_dict, override, to_dict
 from arrive.fields import (
     SEED,
@@ -198,12 +198,15 @@ def saved_config(data: dict[str, Any], source: Path) -> Config:
     """The configuration saved in a file.
 
     Raises:
-        ArriveError: the file is damaged or was written by another version of arrive.
+        ArriveError: the file is damaged, was written by another version of arrive, or has values out of range.
     """
     try:
-        return from_dict(Config, data)
+        config = from_dict(Config, data)
+        check_config(config)
+        return config
     except ArriveError as error:
-        raise ArriveError(f"cannot read {source}: was it made by another version of arrive? {error}") from error
+        fault = brief(str(error))
+        raise ArriveError(f"cannot read {source}: was it made by another version of arrive? {fault}") from error
 
 
 def check_config(config: Config) -> None:

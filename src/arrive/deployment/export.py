@@ -14,7 +14,7 @@ from arrive.config import Config, saved_config, to_dict
 from arrive.deployment.onnx_file import PREFIX, append_checksum
 from arrive.deployment.policy_file import FORMAT, INPUT, OUTPUT, PolicyFile, read_policy_file
 from arrive.deployment.specs import MOTOR_FIGURES
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, brief
 from arrive.files import whole
 from arrive.learning.checkpoint import check_schema
 from arrive.learning.networks import Facing, Network
@@ -63,10 +63,7 @@ def compare_with_this_version(file: PolicyFile) -> None:
     Raises:
         ArriveError: they differ; the message names the first difference.
     """
-    try:
-        config = saved_config(file.meta["training"]["config"], file.path)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ArriveError(f"the metadata of {file.path} is damaged: {error!r}. Export the policy again.") from error
+    config = saved_config(file.meta["training"]["config"], file.path)
     for section, expected in policy_sections(config).items():
         _compare(file.path, section, file.meta[section], expected)
 
@@ -80,7 +77,9 @@ def _compare(path: Path, where: str, found: Any, expected: Any) -> None:
         for i, pair in enumerate(zip(found, expected, strict=True)):
             _compare(path, f"{where}[{i}]", *pair)
     elif found != expected and not (".labels[" in where and same_label(found, expected)):
-        raise ArriveError(f"{path} does not fit this version of arrive: {where} is {found!r}, not {expected!r}")
+        raise ArriveError(
+            f"{path} does not fit this version of arrive: {where} is {brief(repr(found))}, not {brief(repr(expected))}"
+        )
 
 
 def policy_sections(config: Config) -> dict[str, Any]:

@@ -11,6 +11,9 @@ LARGEST_ANGLE_RAD = 100.0
 """Joint limits beyond this are not in radians."""
 LARGEST_LENGTH_M = 20.0
 """Largest length of a robot and of its height grid."""
+MOST_SAMPLES = 10**15
+LONGEST_TEXT = 200
+"""Longest name, unit or label [characters]."""
 SAME_M = 1e-4
 """Tolerance for the positions of grid points."""
 LEAST_GOLDEN = 1e-3
@@ -19,6 +22,20 @@ LEAST_GOLDEN = 1e-3
 
 class Implausible(Exception):
     """An implausible value. The message names it."""
+
+
+def text(name: str, value: Any, least: int = 1) -> str:
+    """The value, if it is a text that can be printed in one line, of at least `least` characters."""
+    if not isinstance(value, str) or not value.isprintable() or not least <= len(value.strip()) <= LONGEST_TEXT:
+        raise Implausible(f"{name} is {value!r}, not a text of {least} to {LONGEST_TEXT} printable characters")
+    return value
+
+
+def texts(name: str, values: Any) -> list[str]:
+    """The values, if they are a list of texts."""
+    if not isinstance(values, list):
+        raise Implausible(f"{name} is {values!r}, not a list of texts")
+    return [text(f"{name}[{i}]", value) for i, value in enumerate(values)]
 
 
 def number(name: str, value: Any) -> float:
@@ -57,9 +74,10 @@ def per_joint(name: str, value: Any, joints: int) -> list[float]:
 
 def check_robot(robot: RobotSpec) -> None:
     """Check that limits, default pose, gains and motor values are plausible for a robot."""
-    names = robot.joint_names
-    if not isinstance(names, list) or not names or not all(isinstance(x, str) and x for x in names):
-        raise Implausible("robot.joint_names is not a list of names")
+    text("robot.name", robot.name)
+    names = texts("robot.joint_names", robot.joint_names)
+    if not names:
+        raise Implausible("robot.joint_names is empty")
     if len(set(names)) != len(names):
         raise Implausible("robot.joint_names has a name twice")
     default = numbers("robot.default_joint_pos_rad", robot.default_joint_pos_rad, len(names))
@@ -114,6 +132,7 @@ def _is_grid(points: np.ndarray, low: np.ndarray, step: float, nx: int, ny: int)
 
 def check_task(task: TaskSpec) -> None:
     """Check that times and distances are plausible for a task."""
+    text("task.name", task.name)
     positive("task.episode_s", task.episode_s)
     positive("task.reward_window_s", task.reward_window_s, task.episode_s)
     positive("task.arrival_radius_m", task.arrival_radius_m)
@@ -128,7 +147,10 @@ def check_golden(golden: dict[str, Any], size: int, joints: int) -> tuple[np.nda
     """(n, size) inputs and (n, joints) outputs of the golden pairs, if they can detect a broken network."""
     pairs = []
     for name, width in (("observations", size), ("actions", joints)):
-        values = np.array(golden[name], dtype=np.float32)
+        values = np.array(golden[name])
+        if values.dtype.kind not in "fi":
+            raise Implausible(f"golden.{name} are not all numbers")
+        values = values.astype(np.float32)
         if values.ndim != 2 or values.shape[1] != width or len(values) < 2:
             raise Implausible(f"golden.{name} are not at least two rows of {width} numbers")
         if not np.isfinite(values).all():
@@ -139,3 +161,15 @@ def check_golden(golden: dict[str, Any], size: int, joints: int) -> tuple[np.nda
     if len(pairs[0]) != len(pairs[1]):
         raise Implausible("golden.observations and golden.actions differ in number")
     return pairs[0], pairs[1]
+
+
+def check_training(training: Any, evaluation: Any) -> None:
+    """Check what is known about a policy's training, except for its configuration, which only `arrive` can read."""
+    if not isinstance(training, dict) or not isinstance(training.get("config"), dict):
+        raise Implausible("training has no configuration")
+    text("training.commit", training.get("commit"))
+    samples = training.get("samples")
+    if type(samples) is not int or not 0 <= samples <= MOST_SAMPLES:
+        raise Implausible(f"training.samples is {samples!r}, not a number of policy steps")
+    if evaluation is not None and not isinstance(evaluation, dict):
+        raise Implausible(f"evaluation is {evaluation!r}, not a result or null")

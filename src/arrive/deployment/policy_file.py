@@ -1,6 +1,7 @@
 """The exported policy: one ONNX file with all metadata needed to run it. Needs onnxruntime, not torch."""
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -9,9 +10,19 @@ import numpy as np
 import onnxruntime
 
 from arrive.deployment.onnx_file import PREFIX, OnnxFile, read_onnx_file
-from arrive.deployment.plausible import Implausible, check_golden, check_grid, check_robot, check_task, positive
+from arrive.deployment.plausible import (
+    Implausible,
+    check_golden,
+    check_grid,
+    check_robot,
+    check_task,
+    check_training,
+    positive,
+    text,
+    texts,
+)
 from arrive.deployment.specs import GridSpec, RobotSpec, TaskSpec, Term
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, brief
 
 FORMAT = 3
 """Version of the metadata format."""
@@ -69,13 +80,16 @@ def read_policy_file(path: Path | str) -> PolicyFile:
         check_robot(file.robot)
         check_grid(file.grid)
         check_task(file.task)
+        check_training(meta["training"], meta["evaluation"])
         _check_terms(file)
         _check_sizes(file)
         _check_golden(file)
     except Implausible as problem:
-        raise ArriveError(f"{path} is implausible: {problem}. Export the policy again.") from problem
+        fault = brief(str(problem))
+        raise ArriveError(f"{path} is implausible: {fault}. Export the policy again.") from problem
     except (TypeError, ValueError, KeyError, AttributeError, IndexError, OverflowError) as error:
-        raise ArriveError(f"the metadata of {path} is damaged: {error!r}. Export the policy again.") from error
+        fault = brief(repr(error))
+        raise ArriveError(f"the metadata of {path} is damaged: {fault}. Export the policy again.") from error
     return file
 
 
@@ -97,22 +111,47 @@ def _parse(path: Path, text: dict[str, str]) -> dict[str, Any]:
     if PREFIX + "format" not in text:
         raise ArriveError(f"{path} is an ONNX file but not a policy of arrive: it has no metadata of `arrive export`")
     if text[PREFIX + "format"] != str(FORMAT):
-        raise ArriveError(f"{path} has export format {text[PREFIX + 'format']}, this version reads {FORMAT}")
+        raise ArriveError(f"{path} has export format {brief(text[PREFIX + 'format'])}, this version reads {FORMAT}")
     missing = [name for name in SECTIONS if PREFIX + name not in text]
     if missing:
         raise ArriveError(f"{path} lacks the metadata {', '.join(missing)}. Export the policy again.")
     try:
-        return {name: json.loads(text[PREFIX + name], parse_constant=_no_number) for name in SECTIONS}
+        return {name: _json(text[PREFIX + name]) for name in SECTIONS}
     except (ValueError, RecursionError) as error:
-        raise ArriveError(f"the metadata of {path} is damaged: {error}. Export the policy again.") from error
+        raise ArriveError(
+            f"the metadata of {path} is damaged: {brief(str(error))}. Export the policy again."
+        ) from error
+
+
+def _json(text: str) -> Any:
+    """Strict JSON: finite numbers, and no key twice."""
+    return json.loads(text, parse_constant=_no_number, parse_float=_finite, object_pairs_hook=_once)
 
 
 def _no_number(text: str) -> NoReturn:
     raise ValueError(f"{text} is not a number")
 
 
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _no_number(text)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        twice = next(key for i, (key, _) in enumerate(pairs) if key in dict(pairs[:i]))
+        raise ValueError(f"the key {twice!r} is there twice")
+    return content
+
+
 def _check_terms(file: PolicyFile) -> None:
-    """Check that slices have distinct names, no gaps and positive scales."""
+    """Check that slices have texts, distinct names, no gaps and positive scales."""
+    for i, term in enumerate(file.terms):
+        text(f"observation[{i}].name", term.name)
+        text(f"observation[{i}].unit", term.unit, least=0)
+        text(f"observation[{i}].frame", term.frame, least=0)
+        texts(f"observation[{i}].labels", term.labels)
     if len({term.name for term in file.terms}) != len(file.terms):
         raise Implausible("two observations have the same name")
     end = 0
