@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import signal
 import sys
 from pathlib import Path
 
@@ -271,6 +272,33 @@ def test_drive_by_a_file(tmp_path, capsys):
     cli.main(["drive", "joystick", "--script", str(script), "--log", str(log)])
     assert "3.0 s, 0 falls" in capsys.readouterr().out
     assert len(ControlLog.load(log).frames) == 150
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize("moment", ["step", "save"])
+def test_a_drive_that_is_ended_writes_its_whole_log(tmp_path, capsys, monkeypatch, number, moment):
+    """`kill`, a closed terminal and Ctrl-C, during the drive and while the log is written."""
+    script, log = tmp_path / "drive.csv", tmp_path / "drive.npz"
+    script.write_text(HEADER + "0,1,0,0\n2,0,0,\n3,0,0,\n")
+    append, save = ControlLog.append, ControlLog.save
+
+    def appended(self, *step):
+        append(self, *step)
+        if moment == "step" and len(self.frames) == 20:
+            signal.raise_signal(number)
+
+    def saved(self, path):
+        if moment == "save":
+            signal.raise_signal(number)
+        save(self, path)
+
+    monkeypatch.setattr(ControlLog, "append", appended)
+    monkeypatch.setattr(ControlLog, "save", saved)
+    cli.main(["drive", "joystick", "--script", str(script), "--log", str(log)])
+    assert f"log: {log}" in capsys.readouterr().out
+    frames = ControlLog.load(log).frames
+    assert len(frames) == (20 if moment == "step" else 150)
+    assert [path.name for path in tmp_path.iterdir() if path.suffix != ".csv"] == ["drive.npz"]
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ def run_drive(command: Drive) -> None:
     from arrive.drive.gamepad import Gamepad
     from arrive.drive.script import read_script
     from arrive.drive.status import StatusLine, summarise
+    from arrive.learning.interrupt import interruptible
     from arrive.robots import get_robot
     from arrive.simulation import SimulatedRobot, continued
     from arrive.terrain.ground import ground_of
@@ -37,13 +38,17 @@ def run_drive(command: Drive) -> None:
     log = ControlLog() if command.log else None
     driver = Driver(SimulatedRobot(config, continued(tile)), Controller(policy, log=log))
     status = StatusLine()
-    try:
-        statistics = session.run(driver, controls, seconds, status.report, real_time=script is None)
-    finally:
-        status.close()
-        controls.close()
-        if log and command.log:
-            log.save(command.log)
+    # Signals end the drive after a step, so that the log is written.
+    with interruptible() as interrupted:
+        try:
+            statistics = session.run(
+                driver, controls, seconds, status.report, real_time=script is None, stop=interrupted
+            )
+        finally:
+            status.close()
+            controls.close()
+            if log and command.log:
+                log.save(command.log)
     print(summarise(statistics))
     if log:
         print(f"log: {command.log}")

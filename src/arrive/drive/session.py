@@ -99,6 +99,7 @@ def run(
     real_time: bool,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    stop: Callable[[], bool] = lambda: False,
 ) -> DriveStatistics:
     """Drive for some time. Ctrl-C ends it early.
 
@@ -106,6 +107,7 @@ def run(
         seconds: duration, may be infinite [s].
         report: called after every step.
         real_time: run in real time instead of as fast as the machine can.
+        stop: asked after every step whether to end early.
 
     Raises:
         ArriveError: the gamepad was disconnected.
@@ -113,12 +115,14 @@ def run(
     statistics, pace = DriveStatistics(), Pace(driver.control_dt)
     left = round(seconds / driver.control_dt) if math.isfinite(seconds) else math.inf
     try:
-        while left > 0:
+        while left > 0 and not stop():
             due = min(left, pace.steps_due(clock()) if real_time else 1)
             for _ in range(int(due)):
                 sample = advance(driver, controls.stick(driver.time_s, driver.robot.yaw))
                 statistics.add(sample, driver.control_dt)
                 report(sample, statistics)
+                if stop():
+                    break
             left -= due
             statistics.late_s = pace.dropped_s
             if real_time and left > 0:
