@@ -61,11 +61,13 @@ def test_a_training_whose_terminal_closes_saves_and_ends(tmp_path):
     assert not (tmp_path / "run" / "run.lock").exists()
 
 
-@pytest.mark.parametrize("words", [("list",), ("--version",), ("eval", "--help")])
+@pytest.mark.parametrize(
+    "words", [("arrive", "list"), ("arrive", "--version"), ("arrive", "eval", "--help"), ("arrive.cli", "--version")]
+)
 def test_a_full_disk_is_one_line(tmp_path, words):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "arrive", *words], stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+            [sys.executable, "-m", *words], stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path
         )
     assert done.returncode == 1
     assert done.stderr == "arrive: cannot write to standard output: No space left on device\n"

@@ -1,7 +1,6 @@
 """The command line: `arrive train`, `eval`, `report`, `play`, `drive`, `export`, `list` and more."""
 
 import importlib
-import io
 import os
 import sys
 from typing import Annotated
@@ -70,7 +69,6 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
-    _show_anything()
     if words == ["--version"]:
         print(f"arrive {__version__}")
         return
@@ -101,13 +99,6 @@ def _show_fields() -> None:
     """Print the fields that --set can change, below the command's help."""
     print()
     print(known()["config"], end="")
-
-
-def _show_anything() -> None:
-    """Escape characters that the console cannot print, such as in file names, so that printing never raises."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def _check_empty(words: list[str]) -> None:
@@ -189,4 +180,7 @@ def _run(command: AnyCommand) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # As the program `arrive`, whose output never raises.
+    from arrive.__main__ import main as program
+
+    program()
