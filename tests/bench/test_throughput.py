@@ -10,6 +10,7 @@ from arrive.bench import throughput
 from arrive.bench.throughput import RATES, RawEngine, bench_throughput
 from arrive.build import build_env
 from arrive.cli import main
+from arrive.commands import bench as command
 from arrive.config import override
 from arrive.presets import get_preset
 
@@ -65,6 +66,22 @@ def test_the_command_writes_all_results(tmp_path, capsys):
     assert all(0.0 < low <= result[name] <= high for name, (low, high) in result["ranges"].items())
     assert (result["num_envs"], result["threads"], result["networks"]) == (8, 1, [16])
     assert "environment over engine" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("content", ['{"config": {}}', '{"protocol": {}}', "[1]", "no JSON", "", "\0"])
+def test_a_file_of_another_kind_is_not_replaced_without_force(tmp_path, capsys, monkeypatch, content):
+    results = iter((1.0, 2.0))
+    monkeypatch.setattr(command, "_throughput", lambda options: {"env_over_engine": next(results)})
+    monkeypatch.setattr(command, "_print", lambda result: None)
+    path = tmp_path / "config.json"
+    path.write_text(content)
+    with pytest.raises(SystemExit):
+        main(["bench", "flat", "--json", str(path)])
+    assert f"{path} holds something else than a result of this command; give --force" in capsys.readouterr().err
+    assert path.read_text() == content
+    main(["bench", "flat", "--json", str(path), "--force"])
+    main(["bench", "flat", "--json", str(path)])
+    assert json.loads(path.read_text()) == {"env_over_engine": 2.0}
 
 
 @pytest.mark.parametrize(

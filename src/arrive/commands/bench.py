@@ -11,6 +11,7 @@ from rich.table import Table
 from arrive.bench.deployment import bench_deployment, print_deployment
 from arrive.bench.throughput import RATES, bench_throughput
 from arrive.commands.files import write_result
+from arrive.commands.results import keep_others
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
 from arrive.recipe import make_config
@@ -19,6 +20,8 @@ from arrive.terrain import parse_families
 if TYPE_CHECKING:
     from arrive.commands.options import Bench
 
+KNOWN_BY = ("env_over_engine", "targets")
+"""A key of the result of either measurement."""
 LABELS = {
     "engine": "mujoco.batch alone",
     "env": "environment",
@@ -30,6 +33,8 @@ LABELS = {
 
 def bench(command: Bench) -> None:
     """Measure and print the result, and write it to the JSON file if one is named."""
+    if command.json is not None:
+        keep_others(command.json, KNOWN_BY, command.force)
     if command.deployment:
         result = bench_deployment(command.policy)
         print_deployment(result)

@@ -282,6 +282,8 @@ class Bench:
     """Exported files to measure with `--deployment`, besides networks of the paper's size with random weights."""
     json: Annotated[Path | None, JSON] = None
     """JSON file for the result."""
+    force: bool = False
+    """Replace the JSON file even if it holds something else than a result of this command."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Protects results from being replaced by shorter measurements."""
+"""Protects results from being replaced by shorter measurements, and other files from being replaced at all."""
 
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,29 @@ def keep_longer(path: Path, effort: float, force: bool) -> None:
         raise ArriveError(
             f"{path} holds a longer measurement ({before:,.0f} against {effort:,.0f} episodes or metres); "
             "give --force to replace it, or --json for another file"
+        )
+
+
+def keep_others(path: Path, keys: tuple[str, ...], force: bool) -> None:
+    """Check that a new result would not replace a file of another kind.
+
+    Args:
+        keys: keys by which a result of this kind is known; one is enough.
+        force: replace the file anyway.
+
+    Raises:
+        ArriveError: the file at `path` holds something else.
+    """
+    if force or not path.is_file():
+        return
+    try:
+        content = read_json(path)
+    except ArriveError:
+        content = {}
+    if not any(key in content for key in keys):
+        raise ArriveError(
+            f"{path} holds something else than a result of this command; give --force to replace it, or --json for "
+            "another file"
         )
 
 
