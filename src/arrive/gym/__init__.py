@@ -7,8 +7,8 @@
     envs = gymnasium.make_vec("arrive/Gap-v0", num_envs=64)
     env = gymnasium.make("arrive/Gap-v0", render_mode="rgb_array")
 
-Importing this module registers them; Gymnasium itself finds environments of other packages in no other way. What an
-environment is made of is imported when the first one is made.
+Importing this module registers them, because Gymnasium does not search other packages. torch and MuJoCo are imported
+when the first environment is made.
 """
 
 import gymnasium

@@ -11,21 +11,21 @@ from arrive.render.pictures import FILM_SIZE, LiveStage
 from arrive.task.final import arrival_radius
 
 MOST_STAGES = 8
-"""Worlds that are kept ready to be drawn; each takes memory for its shapes and shadows."""
+"""Number of worlds that stay ready for drawing. Each takes memory for its shapes and shadows."""
 
 
 class LivePictures:
-    """Each robot's episode so far, seen from beside its way."""
+    """Pictures of each robot in its present episode."""
 
     def __init__(self, env: ArriveEnv):
-        """Begin with nothing; worlds are compiled when they are first drawn."""
+        """Worlds are compiled when they are first drawn."""
         self._env = env
         self._poses: list[list[np.ndarray]] = [[] for _ in range(env.num_envs)]
         self._stages: dict[int, LiveStage] = {}
-        """By tile, the one that was used last at the end."""
+        """By tile, in the order of last use."""
 
     def note(self) -> None:
-        """Remember where the robots are; to be called after every reset and step."""
+        """Record the robots' poses. Call it after every reset and step."""
         poses = poses_of(self._env, torch.arange(self._env.num_envs))
         starts = (self._env.episode_length_buf == 0).tolist()
         for known, pose, start in zip(self._poses, poses, starts, strict=True):

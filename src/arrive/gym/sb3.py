@@ -1,4 +1,4 @@
-"""Robots behind Stable-Baselines3's interface of vector environments.
+"""The robots as a vector environment of Stable-Baselines3.
 
     from stable_baselines3 import PPO
     from arrive.gym.sb3 import StableBaselinesEnv
@@ -20,7 +20,7 @@ from arrive.gym.vector import ArriveVectorEnv, result_of
 
 
 class StableBaselinesEnv(VecEnv):
-    """`ArriveVectorEnv` for Stable-Baselines3, see there.
+    """`ArriveVectorEnv` with the interface of Stable-Baselines3.
 
     The `info` of a robot whose episode has ended has `terminal_observation`, `TimeLimit.truncated` and the result:
     `is_success`, which Stable-Baselines3 logs, `level`, `distance` and `failure`.
@@ -67,15 +67,15 @@ class StableBaselinesEnv(VecEnv):
         return self.robots.render() or [None] * self.num_envs
 
     def close(self) -> None:
-        """Close what draws."""
+        """Close the renderers."""
         self.robots.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute, which all robots share, once for each."""
+        """The attribute once per robot. All robots share it."""
         return [getattr(self.robots, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: robots share everything.
+        """Not possible, because all robots share their attributes.
 
         Raises:
             ArriveError: always.
@@ -83,7 +83,7 @@ class StableBaselinesEnv(VecEnv):
         raise ArriveError(f"{attr_name} cannot be set; give options when the environment is made")
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Refused: there are no environments of single robots.
+        """Not possible, because no robot has an environment of its own.
 
         Raises:
             ArriveError: always.
@@ -91,5 +91,5 @@ class StableBaselinesEnv(VecEnv):
         raise ArriveError(f"{method_name} cannot be called for single robots; call it on `robots`")
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None) -> list[bool]:
-        """No robot is wrapped by itself."""
+        """False for every robot, because none is wrapped by itself."""
         return [False] * len(list(self._get_indices(indices)))

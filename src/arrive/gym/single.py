@@ -1,4 +1,4 @@
-"""One robot behind Gymnasium's interface of single environments."""
+"""One robot as a Gymnasium environment."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from arrive.gym.vector import METADATA, ArriveVectorEnv, as_actions, result_of
 
 
 class ArriveSingleEnv(gymnasium.Env):
-    """A robot that must reach places by given times: `ArriveVectorEnv` with one robot, see there.
+    """A robot that must reach places by given times: `ArriveVectorEnv` with one robot.
 
     The result of an episode is in the `info` of its last step: `is_success`, `level`, `distance` and `failure`. To
     train, use a vector environment, which makes many times as many samples per second.
@@ -42,7 +42,7 @@ class ArriveSingleEnv(gymnasium.Env):
         if seed is not None or options:
             self._robots.reset(seed=seed, options=options)
         self._ended = False
-        # Not the first episode after a reset of the robots, which is shortened.
+        # The first episode after a reset of the robots is shortened, so this starts the next one.
         return self._robots.next_episodes()[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -70,5 +70,5 @@ class ArriveSingleEnv(gymnasium.Env):
         return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        """Close what draws."""
+        """Close the renderers."""
         self._robots.close()

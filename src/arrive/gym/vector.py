@@ -1,4 +1,4 @@
-"""`ArriveEnv` behind Gymnasium's interface of vector environments."""
+"""`ArriveEnv` as a Gymnasium vector environment."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from arrive.terrain.levels import level_values
 
 RenderMode = Literal["rgb_array"]
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 50}
-"""Of every environment. A configuration may have another rate."""
+"""Metadata of every environment. `render_fps` follows the configuration."""
 FARTHEST_TARGET_RAD = math.pi
 """Bound of actions: a joint target this far from the default pose."""
 
@@ -103,12 +103,12 @@ class ArriveVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start every robot's episode; the same seed gives bit-identical episodes on the same terrain.
+        """Start every robot's episode. The same seed gives bit-identical episodes on the same terrain.
 
-        Without a seed chance goes on from where it is, and levels stay.
+        Without a seed, the random generator continues and levels stay.
 
         Raises:
-            ArriveError: options were given, there are none; or the environment is closed.
+            ArriveError: options were given, or the environment is closed.
         """
         self._check_open()
         if options:
@@ -120,7 +120,7 @@ class ArriveVectorEnv(VectorEnv):
         return self._env.get_observations()[POLICY].numpy(), {}
 
     def next_episodes(self) -> np.ndarray:
-        """End every robot's episode without a result and start the next one; returns the first observations."""
+        """End every robot's episode without a result, start the next one, and return its first observations."""
         self._env.begin_episodes(torch.arange(self.num_envs))
         self._waiting[:] = False
         self._look()
@@ -156,12 +156,12 @@ class ArriveVectorEnv(VectorEnv):
         return None if self._pictures is None else self._pictures.draw()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close what draws."""
+        """Close the renderers."""
         if self._pictures is not None:
             self._pictures.close()
 
     def _start_late(self, step: "_Step") -> None:
-        """Turn a step into that of `NEXT_STEP`: ends are shown now, and starts in the next step."""
+        """Turn a step into one of `NEXT_STEP`, which shows an episode's end now and the next start a step later."""
         waiting = self._waiting.copy()
         if waiting.any():
             self._env.begin_episodes(torch.from_numpy(waiting).nonzero().squeeze(-1))
@@ -214,7 +214,7 @@ def result_of(info: dict[str, Any], env_id: int) -> dict[str, Any]:
 
 @dataclass
 class _Step:
-    """What a step gives; each array has one entry or row per robot."""
+    """Result of a step. Each array has one entry or row per robot."""
 
     observations: np.ndarray
     rewards: np.ndarray
@@ -224,7 +224,7 @@ class _Step:
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
-    """The mode by itself or by its value.
+    """The mode, from the mode itself, its name or its value.
 
     Raises:
         ArriveError: it is neither `SAME_STEP` nor `NEXT_STEP`.
@@ -253,7 +253,7 @@ def _placement(config: Config, level: int | None) -> Placement:
 
 
 def _final(finished: Finished, num_envs: int) -> dict[str, Any]:
-    """What ended, in the layout that Gymnasium asks of vector environments: an array and a mask per entry."""
+    """Results of ended episodes in Gymnasium's layout for vector environments: an array and a mask per entry."""
     ids = finished.env_ids.numpy()
     mask = np.zeros(num_envs, dtype=bool)
     mask[ids] = True

@@ -1,6 +1,6 @@
-"""Policies by name: those that come with the package, as run folders.
+"""Finds policies by name. Those that come with the package are run folders.
 
-In a checkout they lie in `policies/`; a wheel has of each what running, measuring and exporting it takes.
+In a checkout they are in `policies/`. A wheel has only the files that it takes to run, measure and export them.
 """
 
 import difflib
@@ -9,7 +9,7 @@ from pathlib import Path
 from arrive.errors import ArriveError
 
 DEFAULT = "joystick"
-"""The one that is run where none is named."""
+"""The policy that commands take if none is named."""
 EXPORTED = ".onnx"
 POLICY_NAME = "policy.pt"
 """File of the network in a run folder."""
@@ -32,14 +32,14 @@ def shipped_names() -> list[str]:
 
 
 def find_policy(name: Path | str) -> Path:
-    """The file or folder of the policy that a person names; every command takes policies this way.
+    """File or folder of a policy that the user names. All commands use this.
 
     Args:
-        name: a run folder, a policy.pt, an exported file, or the name of a shipped policy. What lies in the current
-            folder goes first.
+        name: a run folder, a policy.pt, an exported file, or the name of a shipped policy. Files in the
+            current folder come first.
 
     Raises:
-        ArriveError: it is none of these; the message says what may be meant.
+        ArriveError: there is no such policy; the message suggests names.
     """
     path, shipped = Path(name), SHIPPED / name
     if path.is_file() or (path / POLICY_NAME).is_file():
@@ -52,9 +52,9 @@ def find_policy(name: Path | str) -> Path:
 
 
 def results_folder(path: Path) -> Path:
-    """Where a policy's results lie and go: its run folder, or for an exported file a folder of its name beside it.
+    """Folder of a policy's results: its run folder, or for an exported file a folder of the same name beside it.
 
-    An installed package is not written to: results of its policies go to a folder of their name in `RUNS`.
+    For policies of an installed package, which is not written to, it is a folder of their name in `RUNS`.
     """
     folder = path.with_suffix("") if path.suffix == EXPORTED else path.parent
     return RUNS / folder.name if PACKED in folder.parents else folder

@@ -1,4 +1,4 @@
-"""What policies were measured to solve, read from `arrive eval --protocol difficulty`."""
+"""The hardest terrain that policies solve, read from the result of `arrive eval --protocol difficulty`."""
 
 from pathlib import Path
 from typing import Any
@@ -9,13 +9,13 @@ from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, varies
 
 SOLVED = "max_at_95"
-"""Its entry for the hardest value that is solved in 95 % of the episodes."""
+"""Key of the hardest value that is solved in 95 % of the episodes."""
 TELLING = ("gap", "pit", "stairs", "obstacles", "steps", "slope", "stairs_down", "slope_down", "rough")
-"""Terrains by how much they say of a policy that solves them."""
+"""Terrains in the order in which a policy's skills are listed."""
 
 
 def solved_in(measurement: Any) -> dict[str, float]:
-    """Hardest value solved at 95 % by family, from the content of a measurement; empty where it is none."""
+    """Hardest value solved at 95 %, by family. Empty if the content is not a measurement."""
     try:
         entries = {name: entry.get(SOLVED) for name, entry in measurement["families"].items() if name in FAMILIES}
     except (KeyError, AttributeError, TypeError):
@@ -24,7 +24,7 @@ def solved_in(measurement: Any) -> dict[str, float]:
 
 
 def solved_beside(path: Path) -> dict[str, float]:
-    """The same of a run folder or a file in it, without reading the policy; empty where it was not measured.
+    """The same for a run folder or a file in it. Empty if it was not measured. The policy is not read.
 
     Raises:
         ArriveError: its measurement is damaged.
@@ -43,7 +43,7 @@ def _within(family: str, value: object) -> bool:
 
 
 def amounts(solved: dict[str, float]) -> list[str]:
-    """Solved values in words, such as "gap 0.4 m", in the order of `TELLING`; none for terrain without parameter."""
+    """Solved values as text, such as "gap 0.4 m", in the order of `TELLING`, without terrains that have no value."""
     varying = [family for family in solved if varies(FAMILIES[family])]
     varying.sort(key=lambda family: (*TELLING, family).index(family))
     return [f"{family} {Ground(FAMILIES[family], solved[family]).amount}" for family in varying]

@@ -1,4 +1,4 @@
-"""The graphics library that draws without a screen, where there is one."""
+"""Finds a graphics library that can draw without a screen."""
 
 import importlib
 import os
@@ -24,7 +24,7 @@ with mujoco.Renderer(model, 32, 32) as renderer:
 
 
 class GraphicsUnavailable(ArriveError):
-    """No library on this machine can draw without a screen; everything but pictures works."""
+    """No library on this machine can draw without a screen. Everything except pictures works."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -35,9 +35,9 @@ class GraphicsUnavailable(ArriveError):
 
 @lru_cache(maxsize=1)
 def graphics_backend() -> str:
-    """The value of MUJOCO_GL that draws offscreen here: the one that is set, else EGL, else OSMesa.
+    """The value of MUJOCO_GL with which MuJoCo can draw offscreen here: the one that is set, otherwise EGL or OSMesa.
 
-    Each candidate draws a sphere in a process of its own, because a broken driver may end the process.
+    Each candidate is tested in a process of its own, because a broken driver can crash the process.
 
     Raises:
         GraphicsUnavailable: none of them works.
@@ -57,7 +57,7 @@ def graphics_backend() -> str:
 
 @contextmanager
 def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
-    """A renderer of pictures of `width` x `height` pixels, closed at the end; widens the model's offscreen buffer.
+    """A renderer for pictures of this size [pixels], closed at the end. It may enlarge the model's offscreen buffer.
 
     Raises:
         GraphicsUnavailable: this machine cannot draw.

@@ -17,30 +17,31 @@ from arrive.render.graphics import open_renderer
 FRAME_SIZE = (400, 320)
 """Width and height of one frame of a strip [pixels]."""
 FILM_SIZE = (768, 432)
+"""Width and height of a film [pixels]."""
 DOT_SPACING = 0.1
 """Distance between the dots of the path walked [m]."""
 MARGIN = 0.7
-"""Free space kept around the path and the target [m]."""
+"""Free space around the path and the target [m]."""
 FARTHEST_VIEW = 4.2
-"""A camera does not go farther away to have the whole path in its picture; it goes along with the robot [m]."""
+"""Largest distance of the camera from the point that it looks at. It follows the robot along longer paths [m]."""
 AHEAD = 0.5
-"""Distance of the point that the camera looks at in front of the robot [m]."""
+"""The camera looks at a point this far in front of the robot [m]."""
 VIEWS_DEG = tuple((side, down) for down in (-22.0, -35.0, -50.0) for side in (52.0, -52.0, 28.0, -28.0))
-"""Directions to look in, from that of the way, and down: the first from which the ground hides the robot least is
-taken."""
+"""Azimuth relative to the direction of the target, and elevation. The first view in which the ground hides the robot
+least is taken."""
 SUN = np.array([0.45, 0.35, -1.0]) / np.linalg.norm([0.45, 0.35, -1.0])
-"""Direction of its light."""
+"""Direction of the sunlight."""
 SHADOWED_M = 8.0
-"""Half the edge of the ground with shadows, at least: of a smaller one, level ground shades itself in speckles [m]."""
+"""Smallest half edge of the area with shadows. In a smaller one, level ground gets speckles from its own shadow [m]."""
 SMOOTH_S = 1.0
-"""The camera follows the robot's mean place over this time, so that it does not shake with every step [s]."""
+"""The camera follows the robot's mean position over this time, so that it does not shake with every step [s]."""
 SKY = (0.80, 0.87, 0.94)
 TARGET_COLOR = (0.10, 0.75, 0.25)
 PATH_COLOR = (0.95, 0.45, 0.05)
 
 
 def picture_strip(episode: Episode, path: Path, frames: int = 6) -> None:
-    """Write a PNG of evenly spaced moments side by side, with the time under each.
+    """Write a PNG with evenly spaced moments of the episode side by side, and the time below each.
 
     Raises:
         GraphicsUnavailable: this machine cannot draw.
@@ -91,7 +92,7 @@ def film(episode: Episode, path: Path, fps: int = 25) -> None:
 
 @contextmanager
 def open_stage(episode: Episode, width: int, height: int) -> Iterator["Stage"]:
-    """What draws an episode's moments in pictures of this size [pixels], closed at the end.
+    """A stage that draws moments of an episode in pictures of this size [pixels], closed at the end.
 
     Raises:
         GraphicsUnavailable: this machine cannot draw.
@@ -103,27 +104,27 @@ def open_stage(episode: Episode, width: int, height: int) -> Iterator["Stage"]:
 
 
 class LiveStage:
-    """Draws the newest moment of episodes that go on, in one world."""
+    """Draws the newest moment of running episodes, all in one world."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
-        """Nothing is opened before the first picture; `close` closes it.
+        """The renderer is opened at the first picture.
 
         Args:
-            model: the world, with the shapes that are looked at.
+            model: the world, with its visual shapes.
         """
         self.model = copy.copy(model)
         self._size, self._open = (width, height), ExitStack()
         self._renderer: mujoco.Renderer | None = None
 
     def draw(self, episode: Episode) -> np.ndarray:
-        """(height, width, 3) the picture of the last row of an episode's `qpos`, 8 bits per colour.
+        """(height, width, 3) picture of the last row of an episode's `qpos`, 8 bits per colour.
 
         Raises:
             GraphicsUnavailable: this machine cannot draw.
         """
         _set_look(self.model, episode)
         if self._renderer is None:
-            # A renderer keeps the sizes of shadows and samples that the model has now.
+            # The renderer keeps the shadow size and the number of samples that the model has when it is opened.
             self._renderer = self._open.enter_context(open_renderer(self.model, *self._size))
         return Stage(episode, self.model, self._renderer).draw(len(episode.qpos) - 1)
 
@@ -133,7 +134,7 @@ class LiveStage:
 
 
 class Stage:
-    """Draws single moments of an episode, with its light, camera, target and path."""
+    """Draws moments of an episode, with light, camera, target and path."""
 
     def __init__(self, episode: Episode, model: mujoco.MjModel, renderer: mujoco.Renderer):
         self._episode, self._model, self._renderer = episode, model, renderer
@@ -150,7 +151,7 @@ class Stage:
         self._middle = (places.min(0) + places.max(0)) / 2
 
     def draw(self, step: int) -> np.ndarray:
-        """(height, width, 3) the picture at a row of `qpos`, 8 bits per colour."""
+        """(height, width, 3) picture of a row of `qpos`, 8 bits per colour."""
         self._data.qpos[:] = self._episode.qpos[step]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
@@ -194,7 +195,7 @@ def _set_look(model: mujoco.MjModel, episode: Episode) -> None:
 
 
 class _Cameras:
-    """Where the camera is at each step: it goes along beside the robot, steadily, and sees over what stands around."""
+    """The camera at each step. It follows the robot smoothly, from the side where the ground hides it least."""
 
     def __init__(self, episode: Episode, aspect: float, fovy_deg: float):
         base = episode.qpos[:, :3]
@@ -222,13 +223,13 @@ class _Cameras:
         return camera
 
     def _positions(self, view: tuple[float, float]) -> np.ndarray:
-        """(steps, 3) where the camera is [m]."""
+        """(steps, 3) positions of the camera [m]."""
         cameras = [self._camera(view, step) for step in range(len(self._looked_at))]
         return np.array([camera.lookat - camera.distance * _axes(camera)[0] for camera in cameras])
 
 
 def _smoothed(path: np.ndarray, steps: float) -> np.ndarray:
-    """(n, 3) the mean of a path over so many steps around each; its ends are repeated."""
+    """(n, 3) moving average of a path over this number of steps; its ends are repeated."""
     half = max(round(steps / 2), 1)
     padded = np.pad(path, ((half, half), (0, 0)), mode="edge")
     window = np.ones(2 * half + 1) / (2 * half + 1)
@@ -236,7 +237,7 @@ def _smoothed(path: np.ndarray, steps: float) -> np.ndarray:
 
 
 def _hidden_share(episode: Episode, cameras: np.ndarray, samples: int = 25) -> float:
-    """Share of the steps at which the ground stands between camera and robot."""
+    """Share of the steps at which the ground is between camera and robot."""
     data = mujoco.MjData(episode.model)
     groups, hidden = np.array([1, 0, 0, 0, 0, 0], np.uint8), 0
     mujoco.mj_kinematics(episode.model, data)
@@ -258,13 +259,13 @@ def _axes(camera: mujoco.MjvCamera) -> np.ndarray:
 
 
 def _fit_distance(points: np.ndarray, axes: np.ndarray, tan_right: float, tan_up: float) -> float:
-    """Least distance from the look-at point at which balls of radius MARGIN around the points are in view [m]."""
+    """Smallest distance from the look-at point at which all points are in view with MARGIN around them [m]."""
     forward, right, up = axes @ points.T
     return float(np.max(np.maximum((np.abs(right) + MARGIN) / tan_right, (np.abs(up) + MARGIN) / tan_up) - forward))
 
 
 def _add_sun(scene: mujoco.MjvScene, middle: np.ndarray) -> None:
-    """A light from above that casts shadows, fixed to the world: one that goes along makes shadows' edges flicker."""
+    """A light that casts shadows. It is fixed to the world, because shadows flicker if it moves with the camera."""
     if scene.nlight >= len(scene.lights):
         return
     sun = scene.lights[scene.nlight]
@@ -276,7 +277,7 @@ def _add_sun(scene: mujoco.MjvScene, middle: np.ndarray) -> None:
 
 
 def _add_sky(scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
-    """A luminous wall behind everything, for a model has no sky of its own."""
+    """A luminous wall behind everything, because the model has no sky."""
     forward, right, up = _axes(camera)
     position = camera.lookat + 60.0 * forward
     frame = np.column_stack([right, up, -forward])
@@ -292,7 +293,7 @@ def _add_geom(
     frame: np.ndarray | None = None,
     emission: float = 0.0,
 ) -> None:
-    """Add one decoration; a full scene goes without."""
+    """Add a decoration, if the scene has room for it."""
     if scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]

@@ -19,15 +19,15 @@ SIZE = (480, 300)
 FPS = 15
 LARGEST_BYTES = 3_000_000
 QUALITIES = (80, 65, 50, 35, 20)
-"""Of the encoder; the first that keeps the file below its limit is taken."""
+"""Qualities of the encoder. The first one that keeps the file below its limit is taken."""
 EASIER = (1.0, 0.9, 0.8, 0.7)
-"""Shares of the hardest value that are tried one after the other, until the robot arrives."""
+"""Shares of the hardest value. They are tried in this order until the robot arrives."""
 REST_S = 0.8
 """How long a robot is shown at its target [s]."""
 
 
 def record_episode(skill: Skill, ground: Ground) -> Episode | None:
-    """The way to the target beyond a terrain, by the controller of a real robot; None where it does not arrive."""
+    """An episode to a target beyond the terrain, with the deployment controller. None if the robot does not arrive."""
     for share in EASIER:
         easier = Ground(ground.family, max(share * ground.value, ground.family.lowest), ground.layout)
         episode = _attempt(Playground(skill, easier))
@@ -45,7 +45,7 @@ def _attempt(playground: Playground) -> Episode | None:
         if playground.falls or playground.time_s > DURATION_S + REST_S:
             return None
         places.append(playground.robot.data.qpos.copy())
-        # Half of the radius: it stands there, and does not only run through.
+        # Within half of the radius, so that it does not only run through.
         if arrived_s is None and playground.distance < radius / 2:
             arrived_s = playground.time_s
     ground = playground.ground
@@ -62,7 +62,7 @@ def _attempt(playground: Playground) -> Episode | None:
 
 
 def frames(episode: Episode) -> Iterator[Image.Image]:
-    """The pictures of an episode in real time.
+    """Pictures of an episode in real time.
 
     Raises:
         GraphicsUnavailable: this machine cannot draw.
@@ -77,10 +77,10 @@ def frames(episode: Episode) -> Iterator[Image.Image]:
 
 
 def write_showreel(pictures: Sequence[Image.Image], out: Path) -> int:
-    """Write an endless WebP of at most `LARGEST_BYTES`; returns its size in bytes.
+    """Write a WebP that repeats, of at most `LARGEST_BYTES`, and return its size in bytes.
 
     Raises:
-        ArriveError: it would be larger in the worst quality, or cannot be written.
+        ArriveError: it would be larger even with the lowest quality, or cannot be written.
     """
     with whole(out) as file:
         for quality in QUALITIES:
