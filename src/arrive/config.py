@@ -108,8 +108,8 @@ class ScheduleConfig:
     calm_gait: bool = False
     """Whether pushes and new targets within an episode begin only once a gait is found."""
     decimation: Annotated[int, Range(0)] = 0
-    """Physics steps per policy step before the finish: fewer and longer ones than `physics.decimation` make training
-    faster. 0 for `physics.decimation` from the start. It has no effect with `physics.motor=network`."""
+    """Physics steps per policy step while the levels rise: fewer and longer ones than `physics.decimation` make
+    training faster. 0 for `physics.decimation` throughout. It has no effect with `physics.motor=network`."""
     climb_std: Positive = 0.4
     """Bound on the action noise's standard deviation while the levels rise; it falls from this to `finish_std`."""
     climb_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0

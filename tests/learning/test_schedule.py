@@ -46,13 +46,12 @@ def test_without_a_finish_the_last_values_are_those_of_the_climb():
     assert (last.stage, last.crash_cost, last.review) == ("finish", 6.0, 0.25)
 
 
-def test_physics_steps_are_long_until_the_finish():
+def test_physics_steps_are_long_during_the_climb_only():
     config = robust()
-    assert config.schedule.decimation < config.physics.decimation
-    found = [settings_at(config, spent, seeking).decimation for spent in (0.1, 0.7) for seeking in (1.0, 0.0)]
-    assert found == 4 * [config.schedule.decimation]
-    last = config.schedule.finish_from + 0.01
-    assert [settings_at(config, last, seeking).decimation for seeking in (1.0, 0.0)] == 2 * [config.physics.decimation]
+    short, long = config.physics.decimation, config.schedule.decimation
+    assert long < short
+    assert [settings_at(config, spent, seeking=1.0).decimation for spent in (0.1, 0.7, 0.8)] == 3 * [short]
+    assert [settings_at(config, spent, seeking=0.0).decimation for spent in (0.1, 0.7, 0.8)] == [long, long, short]
 
 
 def test_an_actuator_network_keeps_its_own_step():

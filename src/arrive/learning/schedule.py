@@ -58,7 +58,7 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
         max_std=_between(climb_std, schedule.finish_std, finish),
         crash_cost=_between(schedule.climb_crash_cost, schedule.finish_crash_cost, finish),
         review=_between(schedule.climb_review, schedule.finish_review, finish),
-        decimation=config.physics.decimation if spent >= schedule.finish_from else _long_steps(config),
+        decimation=config.physics.decimation if spent >= schedule.finish_from else _climb_steps(config),
         calm=False,
     )
     if seeking <= 0.0 or finish > 0.0:
@@ -75,15 +75,15 @@ def _constant(config: Config, entropy: float) -> Settings:
         max_std=MAX_STD,
         crash_cost=-config.task.rewards.crash_cost.weight,
         review=0.0,
-        decimation=_long_steps(config),
+        decimation=config.physics.decimation,
         calm=config.schedule.enabled and config.schedule.calm_gait,
     )
 
 
-def _long_steps(config: Config) -> int:
-    """Physics steps per policy step before the finish. An actuator network keeps its own step."""
-    scheduled = config.schedule.enabled and config.schedule.decimation and config.physics.motor != "network"
-    return config.schedule.decimation if scheduled else config.physics.decimation
+def _climb_steps(config: Config) -> int:
+    """Physics steps per policy step while the levels rise. An actuator network keeps its own step."""
+    steps = config.schedule.decimation
+    return steps if steps and config.physics.motor != "network" else config.physics.decimation
 
 
 def _finish_share(schedule: ScheduleConfig, spent: float) -> float:
