@@ -1,5 +1,7 @@
 """Fixtures for several test files."""
 
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,14 @@ def exported(tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("exported") / "robot.onnx"
     export_policy(load_policy(Path(DEFAULT)), file)
     return file
+
+
+@pytest.fixture
+def hears_hangups() -> Iterator[None]:
+    """For a test that closes a terminal: under `nohup`, hangups would be ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture

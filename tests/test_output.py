@@ -37,6 +37,7 @@ def test_a_training_whose_reader_leaves_goes_on_to_its_end(tmp_path):
     assert (tmp_path / "run" / "curves.png").exists()
 
 
+@pytest.mark.usefixtures("hears_hangups")
 def test_a_training_whose_terminal_closes_saves_and_ends(tmp_path):
     here, there = os.openpty()
     process = subprocess.Popen(

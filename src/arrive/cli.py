@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import runpy
 import sys
 from typing import Annotated
 
@@ -181,6 +182,4 @@ def _run(command: AnyCommand) -> None:
 
 if __name__ == "__main__":
     # As the program `arrive`, whose output never raises.
-    from arrive.__main__ import main as program
-
-    program()
+    runpy.run_module("arrive", run_name="__main__")

@@ -274,6 +274,7 @@ def test_drive_by_a_file(tmp_path, capsys):
     assert len(ControlLog.load(log).frames) == 150
 
 
+@pytest.mark.usefixtures("hears_hangups")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 @pytest.mark.parametrize("moment", ["step", "save"])
 def test_a_drive_that_is_ended_writes_its_whole_log(tmp_path, capsys, monkeypatch, number, moment):
