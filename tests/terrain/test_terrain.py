@@ -95,6 +95,12 @@ def test_a_tile_takes_the_places_it_is_given_and_parks_those_it_does_not_need(pl
         assert np.count_nonzero(model.geom_pos[:, 2] > PARKED_Z) == tile.num_geoms
 
 
+def test_a_tile_with_more_shapes_than_places_is_refused():
+    tile = tile_at("gap", "training", 0)
+    with pytest.raises(ArriveError, match=f"a tile has {tile.num_geoms} shapes, but only {tile.num_geoms - 1} fit"):
+        add_tile(mujoco.MjSpec(), tile, tile.num_geoms - 1)
+
+
 def test_batch_accepts_all_models_and_a_ball_rests_on_the_start_of_each():
     models = [model_of(*case)[1] for case in CASES]
     batch = Batch(models[0], nsim=len(models), nthread=1)

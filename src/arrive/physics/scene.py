@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from arrive.errors import ArriveError
 from arrive.terrain.tile import HeightField, Tile
 
 GREY = (0.62, 0.62, 0.60)
@@ -25,8 +26,13 @@ def add_tile(spec: mujoco.MjSpec, tile: Tile, places: int | None = None) -> None
     Args:
         places: number of geoms, at least the tile's own and by default just those. Unused ones are placed far below.
             All models of a batch need the same number; each one costs time at every physics step.
+
+    Raises:
+        ArriveError: the tile has too many shapes.
     """
     places = tile.num_geoms if places is None else places
+    if tile.num_geoms > places:
+        raise ArriveError(f"a tile has {tile.num_geoms} shapes, but only {places} fit")
     for k in range(places - (tile.height_field is not None)):
         geom = _add_geom(spec, tile, k)
         geom.type = mujoco.mjtGeom.mjGEOM_BOX
