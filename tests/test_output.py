@@ -10,14 +10,13 @@ import pytest
 
 from arrive.learning.checkpoint import load_checkpoint
 from arrive.output import Lasting
+from tiny_runs import train_words
 
-TINY = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.levels=1", "terrain.variants=1")
 PATIENCE_S = 300.0
 
 
 def training(iterations: int) -> list[str]:
-    words = ["train", "flat", "--num-envs", "4", "--threads", "1", "--iterations", str(iterations), "--out", "run"]
-    return [sys.executable, "-m", "arrive", *words, "--set", *TINY]
+    return [sys.executable, "-m", "arrive", *train_words(iterations)]
 
 
 def trained(folder) -> int:

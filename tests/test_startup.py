@@ -10,6 +10,7 @@ import pytest
 
 from arrive.learning.checkpoint import load_checkpoint
 from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
+from tiny_runs import train_words
 
 PROGRAM = """
 import os, sys
@@ -17,21 +18,7 @@ from arrive.__main__ import main
 os.write(1, b"up")
 main()
 """
-TINY = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.levels=1", "terrain.variants=1")
-TRAIN = (
-    "train",
-    "flat",
-    "--num-envs",
-    "4",
-    "--threads",
-    "1",
-    "--iterations",
-    "1000000",
-    "--out",
-    "run",
-    "--set",
-    *TINY,
-)
+TRAIN = train_words(1_000_000)
 PATIENCE_S = 300.0
 
 

@@ -116,10 +116,10 @@ Vector term(const std::string& name, const Policy& policy, const State& state) {
   if (name == "heights") {
     const double offset = policy.heights.at("offset_m");
     const auto clip = policy.heights.at("clip_m").get<std::vector<double>>();
-    const auto points = policy.heights.at("points_m").get<std::vector<std::array<double, 2>>>();
+    const Json& points = policy.heights.at("points_m");
     const size_t samples = policy.heights.value("samples", 1);  // points per side of a height's square
     const size_t columns = std::count_if(points.begin(), points.end(),
-                                         [&](const auto& point) { return point[0] == points[0][0]; });
+                                         [&](const Json& point) { return point.at(0) == points.at(0).at(0); });
     Vector mean(points.size() / (samples * samples), 0.0);
     for (size_t i = 0; i < points.size(); ++i) {
       const double below = std::clamp(state.base_pos_w[2] - offset - state.heights_w.at(i), clip.at(0), clip.at(1));

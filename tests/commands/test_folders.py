@@ -11,8 +11,8 @@ import pytest
 
 from arrive import cli
 from arrive.commands import evaluation
+from tiny_runs import train_words
 
-TINY = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.levels=1", "terrain.variants=1")
 MOMENTS = int(os.environ.get("ARRIVE_FOLDER_MOMENTS", "1"))
 """Moments of each command and kind of damage that are tried."""
 ACCESSES = ("open", "os.rename", "os.mkdir", "os.remove", "os.listdir", "os.scandir", "os.rmdir", "os.chmod")
@@ -83,27 +83,12 @@ DAMAGES = (removed, emptied, replaced_by_a_file, replaced_by_folders, cut)
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("trained") / "run"
-    cli.main(
-        [
-            "train",
-            "flat",
-            "--num-envs",
-            "4",
-            "--threads",
-            "1",
-            "--iterations",
-            "2",
-            "--out",
-            str(folder),
-            "--set",
-            *TINY,
-        ]
-    )
+    cli.main(train_words(2, str(folder)))
     return folder
 
 
 COMMANDS = {
-    "train": "train flat --num-envs 4 --threads 1 --iterations 2 --out run --set " + " ".join(TINY),
+    "train": " ".join(train_words(2)),
     "resume": "train flat --threads 1 --iterations 4 --resume run",
     "eval": "eval run --level 0 --episodes 1 --threads 1 --json run/eval.json",
     "export": "export run -o run/policy.onnx",

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import socket
 import threading
 
 import msgspec
@@ -15,6 +14,7 @@ from arrive.play.server import open_server
 from arrive.play.session import Session
 from arrive.play.skills import open_skill
 from arrive.terrain.ground import ground_of
+from ports import free_port
 
 PROTOCOL = f"viser-v{viser.__version__}"
 CAMERA = {
@@ -50,8 +50,7 @@ class Page:
     """A running session, and what a browser needs to talk to it."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0):
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = port or free.getsockname()[1]
+        self.port = port or free_port()
         self.playground = Playground(open_skill(None), ground_of("flat"))
         self.server, self.door = open_server(host, self.port)
         self.session = Session(self.server, self.playground)

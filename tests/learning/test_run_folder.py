@@ -22,8 +22,8 @@ from arrive.learning.logs import read_log
 from arrive.learning.rundir import LOCK_NAME, new_run_folder
 from arrive.lock import Lock
 from arrive.presets import get_preset
+from tiny_runs import TINY
 
-TINY = ("ppo.hidden=[8]", "ppo.num_steps=4", "terrain.levels=1", "terrain.variants=1")
 WHOLE = ["checkpoint.pt", "config.json", "curves.png", "log.csv", "policy.pt", "tensorboard"]
 
 

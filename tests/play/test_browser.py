@@ -4,7 +4,6 @@ import base64
 import io
 import math
 import shutil
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from arrive.play.playground import Playground
 from arrive.play.skills import open_skill
 from arrive.play.stick import CENTRE, parse_stick
 from arrive.terrain.ground import ground_of
+from ports import free_port
 
 session = pytest.importorskip("arrive.play.session", reason="viser is not installed")
 server = pytest.importorskip("arrive.play.server", reason="viser is not installed")
@@ -63,8 +63,7 @@ class Stage:
 
     def __init__(self, folder):
         """Serve flat ground on a free port, without shadows and with few pictures a second: a CPU has to draw them."""
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.folder = folder
         self.playground = Playground(open_skill(None), ground_of("flat"))
         self.server, _ = server.open_server("127.0.0.1", self.port)

@@ -27,6 +27,7 @@ from arrive.play.guard import LARGEST_MESSAGE, Guard
 from arrive.play.server import open_server
 from arrive.play.stick import parse_stick
 from play_pages import CAMERA, CLICK, DRAG, PROTOCOL, Page, answers, read_all
+from ports import free_port
 
 DROPPED = 2000
 PATIENCE_S = 60.0
@@ -133,17 +134,13 @@ def test_what_is_sent_to_a_browser_that_has_left_is_dropped_without_a_warning():
 
 def test_browsers_that_come_and_leave_while_the_page_starts():
     """Also those that still have the page of an earlier start open and connect again by themselves."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     over, met = threading.Event(), []
 
     async def knock() -> None:
         while not over.is_set():
             with contextlib.suppress(OSError, InvalidStatus, InvalidMessage, ConnectionClosed, TimeoutError):
-                origin = {"Origin": f"http://127.0.0.1:{port}"}
-                async with connect(
-                    f"ws://127.0.0.1:{port}/", subprotocols=[PROTOCOL], additional_headers=origin
-                ) as one:
+                async with visit(port) as one:
                     met.append(await one.send(packed(CAMERA)))
                     one.transport.abort()
             await asyncio.sleep(0.01)
@@ -403,8 +400,7 @@ def test_a_server_that_is_not_complete_shows_no_page():
                 answered.append(wire.recv(100))
         started(self, *args, **options)
 
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(viser.GuiApi, "__init__", slow)
         server, _ = open_server("127.0.0.1", port)

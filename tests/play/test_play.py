@@ -38,6 +38,7 @@ from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, ground_of
 from arrive.terrain.tile import RASTER_HALF, cell_index
 from loading import ROOT
+from ports import free_port
 
 RUN = ROOT / "policies" / "joystick"
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -347,8 +348,7 @@ def test_the_menu_of_robots_is_shown_if_there_are_several(playground, tmp_path, 
     shipped(tmp_path, "leaper", "anymal_c", gap=0.5)
     shipped(tmp_path, "trotter", "go2", stairs=0.1)
     monkeypatch.setattr(policies, "SHIPPED", tmp_path)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     server, _ = open_server("127.0.0.1", port)
     try:
         panel = Panel(server, Playground(open_skill("leaper"), FLAT), lambda request: None)
@@ -731,8 +731,7 @@ def test_an_impossible_address_is_an_error(capsys, arguments):
 
 def test_the_command_serves_and_says_whether_it_kept_real_time(capsys):
     pytest.importorskip("viser")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     cli.main(["play", "--port", str(port), "--seconds", "0.5", "--terrain", "gap=0.4"])
     out = capsys.readouterr().out
     assert f"http://127.0.0.1:{port}" in out
@@ -763,8 +762,7 @@ def test_the_thread_carries_out_requests_and_outlives_bad_ones(playground):
     server_module = pytest.importorskip("arrive.play.server")
     from arrive.play.session import Session
 
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     server, _ = server_module.open_server("127.0.0.1", port)
     stop = threading.Event()
     session = Session(server, playground)

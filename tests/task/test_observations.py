@@ -176,6 +176,9 @@ def test_the_points_of_a_height_grid_are_regular_and_surround_their_cells(sample
         np.testing.assert_allclose(along.diff(), 0.1 / samples, atol=1e-5)
     for column in range(2):
         np.testing.assert_allclose(grid.pooled(grid.points[None, :, column])[0], grid.cells[:, column], atol=1e-6)
+    spread = grid.spread(grid.cells.T)
+    assert ((spread.T - grid.points).abs() < 0.1 / 2).all()
+    np.testing.assert_allclose(grid.pooled(spread), grid.cells.T, atol=1e-6)
 
 
 def test_a_height_sample_is_the_mean_of_the_clipped_heights_of_its_points():

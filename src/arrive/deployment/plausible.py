@@ -12,6 +12,7 @@ LARGEST_ANGLE_RAD = 100.0
 LARGEST_LENGTH_M = 20.0
 """Largest length of a robot and of its height grid."""
 MOST_SAMPLES = 10**15
+"""Most policy steps of a training."""
 LONGEST_TEXT = 200
 """Longest name, unit or label [characters]."""
 SAME_M = 1e-4
@@ -116,7 +117,7 @@ def check_grid(grid: GridSpec) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     if max(-low.min(), high.max()) > LARGEST_LENGTH_M:
         raise Implausible("heights.points_m are too far away")
-    nx, ny = (np.rint((high - low) / step) + 1).astype(int)
+    nx, ny = grid.shape
     if nx * ny != len(points) or not _is_grid(points, low, step, nx, ny):
         raise Implausible("heights.points_m are not a complete grid with a spacing of heights.step_m")
     samples = grid.samples

@@ -14,6 +14,7 @@ from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult, evaluate
 from arrive.learning.policy import Policy
+from arrive.task.heights import HeightGrid
 from arrive.task.rotation import rotate, rotate_inverse
 
 COMPARED = ("final", "continuous")
@@ -38,7 +39,7 @@ class ControlledRobots:
         robot = file.robot
         self._default = torch.tensor(robot.default_joint_pos_rad, dtype=torch.double)
         self._action_scale, self._height_offset = robot.action_scale_rad, file.grid.offset_m
-        self._points, self._samples = file.grid.shape, file.grid.samples
+        self._grid = HeightGrid(env.config.observation.heights)
 
     def act(self, observation: Tensor) -> Tensor:
         """(num_envs, joints) float32 actions that stand for the controllers' joint targets.
@@ -65,7 +66,7 @@ class ControlledRobots:
         tilted = with_measured_gravity(quat, state.gravity_b.double(), value["gravity"])
         way_b = rotate_inverse(quat, self._env.task.command.target_w.double() - pos)
         self._targets_w = pos + rotate(tilted, way_b)
-        self._heights_w = self._at_points(pos[:, 2:] - self._height_offset - value["heights"]).numpy()
+        self._heights_w = self._grid.spread(pos[:, 2:] - self._height_offset - value["heights"]).numpy()
         return {
             "joint_pos": (value["joint_pos"] + self._default).numpy(),
             "joint_vel": value["joint_vel"].numpy(),
@@ -74,12 +75,6 @@ class ControlledRobots:
             "base_lin_vel_b": value["base_lin_vel"].numpy(),
             "base_ang_vel_b": value["base_ang_vel"].numpy(),
         }
-
-    def _at_points(self, heights_w: Tensor) -> Tensor:
-        """(n, points) ground heights, those of a cell all the same, from the (n, cells) that the network receives."""
-        rows, columns = (count // self._samples for count in self._points)
-        cells = heights_w.view(-1, rows, columns)
-        return cells.repeat_interleave(self._samples, 1).repeat_interleave(self._samples, 2).flatten(1)
 
 
 def with_measured_gravity(quat: Tensor, gravity_b: Tensor, measured_b: Tensor) -> Tensor:

@@ -63,6 +63,11 @@ class HeightGrid:
         rows, columns = self._shape
         return values.view(-1, rows, self._samples, columns, self._samples).mean((2, 4)).flatten(1)
 
+    def spread(self, values: Tensor) -> Tensor:
+        """(n, points) values at the points of (n, cells) values, the same for all points of a cell."""
+        cells = values.view(-1, *self._shape)
+        return cells.repeat_interleave(self._samples, 1).repeat_interleave(self._samples, 2).flatten(1)
+
     def reverse(self) -> list[int]:
         """For each cell, the index of its front-back mirror image."""
         count_y = self._shape[1]
