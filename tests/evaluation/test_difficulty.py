@@ -400,6 +400,18 @@ class TestReport:
         assert content["runs"][0]["eval_command"].startswith("arrive eval --protocol difficulty final --terrain gap")
         assert all(run["commit"] and run["train_command"] for run in content["runs"])
 
+    def test_a_file_beside_the_page_that_no_report_wrote_is_not_replaced_without_force(self, runs, tmp_path, capsys):
+        arguments = ["report", str(runs / "final"), "--out", str(tmp_path / "energy.html")]
+        other = tmp_path / "energy.json"
+        other.write_text('{"protocol": {"name": "energy"}}')
+        with pytest.raises(SystemExit):
+            main(arguments)
+        assert f"{other} holds something else than a result of this command; give --force" in capsys.readouterr().err
+        assert [path.name for path in tmp_path.iterdir()] == ["energy.json"]
+        main([*arguments, "--force"])
+        main(arguments)
+        assert [run["name"] for run in json.loads(other.read_text())["runs"]] == ["final"]
+
     def test_a_folder_without_a_run_is_an_error(self, tmp_path, capsys):
         with pytest.raises(SystemExit):
             main(["report", str(tmp_path)])

@@ -218,7 +218,7 @@ def test_a_shorter_measurement_does_not_replace_a_longer_one(tmp_path):
     path = tmp_path / "energy.json"
     write_json(path, a_result(robots=50))
     assert effort_of(a_result(robots=50)) == 3 * 2 * 50 * 10.0
-    keep_longer(path, 3000.0, False)
+    keep_longer(path, "energy", 3000.0, False)
     with pytest.raises(ArriveError, match="--force"):
-        keep_longer(path, 2999.0, False)
-    keep_longer(path, 1.0, True)
+        keep_longer(path, "energy", 2999.0, False)
+    keep_longer(path, "energy", 1.0, True)

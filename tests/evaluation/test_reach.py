@@ -216,20 +216,22 @@ class TestChoosing:
 
 def test_a_shorter_result_does_not_replace_a_longer_one(tmp_path):
     path = tmp_path / "result.json"
-    keep_longer(path, 1, force=False)
+    keep_longer(path, "difficulty", 1, force=False)
     levels = [{"episodes": 60}, {"episodes": 40}]
     path.write_text(json.dumps({"families": {"gap": {"levels": levels}}, "protocol": {"name": "difficulty"}}))
     for effort in (100, 500):
-        keep_longer(path, effort, force=False)
+        keep_longer(path, "difficulty", effort, force=False)
     with pytest.raises(ArriveError, match=r"longer measurement \(100 against 99 .*--force"):
-        keep_longer(path, 99, force=False)
-    keep_longer(path, 99, force=True)
+        keep_longer(path, "difficulty", 99, force=False)
+    keep_longer(path, "difficulty", 99, force=True)
+    with pytest.raises(ArriveError, match=r"result.json holds something else than a result of this command"):
+        keep_longer(path, "reach", 500, force=False)
 
 
 def test_a_result_does_not_replace_a_run_s_configuration(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({"config": {}, "seed": 1}))
     with pytest.raises(ArriveError, match=r"config.json holds something else than a result"):
-        keep_longer(tmp_path / "config.json", 500, force=False)
+        keep_longer(tmp_path / "config.json", "reach", 500, force=False)
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ LABELS = {
 def bench(command: Bench) -> None:
     """Measure and print the result, and write it to the JSON file if one is named."""
     if command.json is not None:
-        keep_others(command.json, KNOWN_BY, command.force)
+        keep_others(command.json, lambda found: any(key in found for key in KNOWN_BY), command.force)
     if command.deployment:
         result = bench_deployment(command.policy)
         print_deployment(result)

@@ -16,7 +16,7 @@ from arrive.commands.policies import read_policy
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
-from arrive.evaluation.energy import check_energy_arguments, energy_content, measure_energy
+from arrive.evaluation.energy import NAME, check_energy_arguments, energy_content, measure_energy
 from arrive.evaluation.walking import check_command
 from arrive.files import whole
 from arrive.learning.policy import Policy
@@ -39,7 +39,7 @@ def energy(command: Energy) -> None:
     for policy in policies:
         check_command(policy)
     effort = len(policies) * len(command.speeds) * command.robots * command.distance
-    keep_longer(command.json, effort, command.force)
+    keep_longer(command.json, NAME, effort, command.force)
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:

@@ -13,11 +13,11 @@ from rich.table import Table
 
 from arrive.commands.files import write_result
 from arrive.commands.policies import read_policy
-from arrive.commands.results import keep_longer
+from arrive.commands.results import keep_longer, keep_others
 from arrive.commands.threads import use_threads
 from arrive.config import to_dict
 from arrive.errors import ArriveError
-from arrive.evaluation import difficulty
+from arrive.evaluation import difficulty, reach
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cells_of, choose_cells, evaluate
 from arrive.evaluation.difficulty import difficulty_cells
 from arrive.evaluation.episode import Episode
@@ -37,6 +37,8 @@ from arrive.terrain.ground import Ground
 if TYPE_CHECKING:
     from arrive.commands.options import Eval, Report
 
+ARRIVAL = "arrival"
+"""The protocol without options: success on a policy's own levels, or on one terrain."""
 GRID_OPTIONS = {"target_distance": "distances", "direction": "directions", "time": "times"}
 """Options of the protocol `reach`, and the fields of `ReachGrid` that they set."""
 
@@ -46,10 +48,10 @@ def run_eval(command: Eval) -> None:
     if command.json and command.others:
         raise ArriveError("--json works with a single policy; evaluate several one by one")
     grid = {name: value for name in GRID_OPTIONS if (value := getattr(command, name)) is not None}
-    protocol = command.protocol or ("reach" if grid else "arrival")
-    if grid and protocol != "reach":
+    protocol = command.protocol or (reach.NAME if grid else ARRIVAL)
+    if grid and protocol != reach.NAME:
         raise ArriveError(f"--{next(iter(grid)).replace('_', '-')} needs --protocol reach, not {protocol}")
-    if command.levels is not None and protocol != "difficulty":
+    if command.levels is not None and protocol != difficulty.NAME:
         raise ArriveError("--levels needs --protocol difficulty; choose one of the policy's own levels with --level")
     # Small networks gain little from torch's threads and are six times slower with them on a busy machine. One thread
     # also gives the same sums on machines with different numbers of cores.
@@ -57,9 +59,9 @@ def run_eval(command: Eval) -> None:
     torch.set_num_threads(1)
     device = choose_device(command.device)
     print(describe_device(device, command.device, threads))
-    measure = {"arrival": _evaluate_arrival, "difficulty": _evaluate_difficulty, "reach": _evaluate_reach}[protocol]
+    measures = {ARRIVAL: _evaluate_arrival, difficulty.NAME: _evaluate_difficulty, reach.NAME: _evaluate_reach}
     for path in (command.policy, *command.others):
-        measure(command, read_policy(path, device), threads)
+        measures[protocol](command, read_policy(path, device), threads)
 
 
 def _chosen(command: Eval, policy: Policy) -> list[tuple[Family, Cell | None]]:
@@ -70,7 +72,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
     chosen, config = _chosen(command, policy), policy.config
     cells = [cell for family, one in chosen for cell in ([one] if one else cells_of(config, [family]))]
     if command.json:
-        keep_longer(command.json, len(cells) * command.episodes, command.force)
+        keep_longer(command.json, ARRIVAL, len(cells) * command.episodes, command.force)
     with Progress(transient=True) as bar:
         steps = bar.add_task(f"{len(cells)} x {command.episodes} episodes", total=None)
         answer = evaluate(
@@ -102,7 +104,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     out = command.json or (None if one else folder / DIFFICULTY_NAME)
     if out is not None:
         rows = sum(1 if family.name in one else len(difficulty_cells(family, command.levels)) for family, _ in chosen)
-        keep_longer(out, rows * command.episodes, command.force)
+        keep_longer(out, difficulty.NAME, rows * command.episodes, command.force)
     with Progress() as bar:
         steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per level", total=None)
         answer = difficulty.measure_difficulty(
@@ -141,7 +143,7 @@ def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
         for family, cell in _chosen(command, policy)
     ]
     out = command.json or folder / REACH_NAME
-    keep_longer(out, effort(grid, command.episodes, len(grounds)), command.force)
+    keep_longer(out, reach.NAME, effort(grid, command.episodes, len(grounds)), command.force)
     with Progress() as bar:
         steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per row", total=None)
         content = measure_reach(
@@ -213,7 +215,7 @@ def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict[str
     return {
         "families": families,
         "policy": {"samples": policy.samples, "config": to_dict(policy.config)},
-        "protocol": {"name": "arrival", "episodes": command.episodes, "seed": command.seed},
+        "protocol": {"name": ARRIVAL, "episodes": command.episodes, "seed": command.seed},
         "commit": policy.commit,
     }
 
@@ -243,8 +245,9 @@ def report(command: Report) -> None:
     """
     # Imported here because only the report draws charts, and loading matplotlib takes time.
     from arrive.report.experiments import FILES
-    from arrive.report.write import write_report
+    from arrive.report.write import is_report, write_report
 
+    keep_others(command.out.with_suffix(".json"), is_report, command.force)
     paths = [path if path.is_dir() else find_policy(path) for path in (command.run, *command.others)]
     runs = [read_run(path) for path in paths]
     unmeasured = [str(path) for path, run in zip(paths, runs, strict=True) if run.difficulty is None]

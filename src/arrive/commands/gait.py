@@ -12,7 +12,7 @@ from arrive.commands.energy import load_policies, narrow_table, shown_on, with_i
 from arrive.commands.files import write_result
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
-from arrive.evaluation.gait import check_gait_arguments, gait_content, measure_gait
+from arrive.evaluation.gait import NAME, check_gait_arguments, gait_content, measure_gait
 from arrive.evaluation.walking import Heading, check_command
 from arrive.files import whole
 from arrive.report.gait_chart import gait_figure
@@ -30,7 +30,7 @@ def gait(command: Gait) -> None:
     policies = load_policies((command.policy, *command.others))
     for policy in policies:
         check_command(policy, commands)
-    keep_longer(command.json, len(policies) * len(commands) * command.robots * command.seconds, command.force)
+    keep_longer(command.json, NAME, len(policies) * len(commands) * command.robots * command.seconds, command.force)
     measured = []
     with Progress(transient=True) as bar:
         for policy in policies:

@@ -125,6 +125,8 @@ class Report:
     """Result of benchmarks/time_window.py; the one under runs/time_window/ by default, if it is there."""
     out: Annotated[Path, Suffix((".html", ".htm"))] = Path("report.html")
     """File for the page. The JSON file has the same name with the suffix .json."""
+    force: bool = False
+    """Replace the JSON file even if it is not from a report."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Protects results from being replaced by shorter measurements, and other files from being replaced at all."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,50 +8,57 @@ from arrive.errors import ArriveError
 from arrive.files import read_json
 
 
-def keep_longer(path: Path, effort: float, force: bool) -> None:
-    """Check that a new measurement would not replace the result of a longer one.
+def keep_longer(path: Path, protocol: str, effort: float, force: bool) -> None:
+    """Check that a new measurement would not replace the result of a longer one, or another file.
 
     Args:
+        protocol: name of the new measurement's protocol.
         effort: size of the new measurement, in the unit of `effort_of`.
-        force: replace the result anyway.
+        force: replace the file anyway.
 
     Raises:
-        ArriveError: the result at `path` is from a longer measurement, or the file holds no result at all.
+        ArriveError: the result at `path` is from a longer measurement, or the file holds something else.
     """
-    if force or not path.is_file():
-        return
-    content = read_json(path)
-    if "protocol" not in content:
-        raise ArriveError(f"{path} holds something else than a result; give --json for another file")
+    content = keep_others(path, lambda found: protocol_of(found) == protocol, force)
     before = effort_of(content)
     if effort < before:
         raise ArriveError(
             f"{path} holds a longer measurement ({before:,.0f} against {effort:,.0f} episodes or metres); "
-            "give --force to replace it, or --json for another file"
+            "give --force to replace it, or name another file"
         )
 
 
-def keep_others(path: Path, keys: tuple[str, ...], force: bool) -> None:
+def keep_others(path: Path, known: Callable[[dict[str, Any]], bool], force: bool) -> dict[str, Any]:
     """Check that a new result would not replace a file of another kind.
 
     Args:
-        keys: keys by which a result of this kind is known; one is enough.
+        known: tells a result of this kind by its content.
         force: replace the file anyway.
+
+    Returns:
+        The content that will be replaced; empty if there is no file, or with `force`.
 
     Raises:
         ArriveError: the file at `path` holds something else.
     """
     if force or not path.is_file():
-        return
+        return {}
     try:
         content = read_json(path)
     except ArriveError:
         content = {}
-    if not any(key in content for key in keys):
+    if not known(content):
         raise ArriveError(
-            f"{path} holds something else than a result of this command; give --force to replace it, or --json for "
-            "another file"
+            f"{path} holds something else than a result of this command; give --force to replace it, or name another "
+            "file"
         )
+    return content
+
+
+def protocol_of(content: dict[str, Any]) -> str | None:
+    """Name of the protocol of a result, None if the content is something else."""
+    protocol = content.get("protocol")
+    return protocol.get("name") if isinstance(protocol, dict) else None
 
 
 def effort_of(content: dict[str, Any]) -> float:

@@ -18,6 +18,8 @@ from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, wal
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 
+NAME = "energy"
+"""The protocol of this measurement."""
 GRAVITY = 9.81
 """[m/s^2]."""
 STALL_S = 10.0
@@ -189,7 +191,7 @@ def energy_content(policies: list[dict[str, Any]], robots: int, way_m: float, se
         "policies": policies,
         "figures": FIGURES,
         "protocol": {
-            "name": "energy",
+            "name": NAME,
             "robots": robots,
             "way_m": way_m,
             "effort": len(policies) * len(policies[0]["speeds"]) * robots * way_m,

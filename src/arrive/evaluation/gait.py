@@ -21,6 +21,8 @@ from arrive.learning.rundir import commit
 from arrive.robots.robot import Robot
 from arrive.task.rotation import yaw_of
 
+NAME = "gait"
+"""The protocol of this measurement."""
 SETTLE_S = 5.0
 """Robots walk this long before they are looked at [s]."""
 WALKING_M_S = 0.1
@@ -245,7 +247,7 @@ def gait_content(policies: list[dict[str, Any]], robots: int, seconds: float, se
         "policies": policies,
         "names": NAMES,
         "protocol": {
-            "name": "gait",
+            "name": NAME,
             "robots": robots,
             "seconds": seconds,
             "settle_s": SETTLE_S,

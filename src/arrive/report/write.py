@@ -39,6 +39,11 @@ def write_report(runs: Sequence[Run], out: Path, files: dict[str, Path | None] |
     return written
 
 
+def is_report(content: dict[str, Any]) -> bool:
+    """Whether this is the content of a report's JSON file."""
+    return {"table", "relations", "runs"} <= content.keys()
+
+
 def read_results(files: dict[str, Path | None]) -> Results:
     """Read the measurements outside the runs' folders.
 
