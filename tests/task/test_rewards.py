@@ -1,5 +1,6 @@
 """Every reward term by its hand-computed value, and the weights that presets give them."""
 
+import math
 from dataclasses import fields, replace
 
 import pytest
@@ -13,6 +14,7 @@ from arrive.task import rewards
 from arrive.task.final import FinalConfig
 from arrive.task.registry import TASKS
 from arrive.task.rewards import CRASH_COST, Approach, Cost, PositionRewards, Rewarder, bound, functions
+from arrive.task.rotation import quat_of_yaw
 from arrive.task.state import Command, State
 
 CONFIG = FinalConfig(reward_window_s=1.0, arrival_radius=0.5)
@@ -139,6 +141,28 @@ def test_approach_reward_is_full_within_the_smaller_of_two_radii(change):
     config = replace(CONFIG, **change)
     assert value_of("approach", state, a_command((0.0, 0.49, 0.0)), config) == pytest.approx(-1.0)
     assert value_of("approach", state, a_command((0.0, 0.24, 0.0)), config) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "facing", "expected"),
+    [
+        (0.0, 1.0, 0.5),
+        (60.0, 1.0, 0.25),
+        (-60.0, 1.0, 0.25),
+        (90.0, 1.0, 0.0),  # sideways
+        (180.0, 1.0, 0.5),  # backwards
+        (60.0, 0.8, 0.3125),  # 0.5 * cos 60 deg / 0.8
+        (60.0, 0.4, 0.5),  # within the free angle
+        (90.0, 0.0, 0.5),
+    ],
+)
+def test_approach_reward_prefers_to_face_the_target(yaw_deg, facing, expected):
+    quat = quat_of_yaw(torch.tensor([math.radians(yaw_deg)]))[0]
+    state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=(0.5, 0.0, 0.0), base_quat_w=tuple(quat.tolist()))
+    config = replace(CONFIG, rewards=PositionRewards(approach=Approach(facing=facing)))
+    for height in (0.0, 7.0):
+        assert value_of("approach", state, a_command((3.0, 0.0, height)), config) == pytest.approx(expected, abs=1e-6)
+    assert value_of("approach", state, a_command((0.4, 0.0, 0.0)), config) == pytest.approx(1.0)
 
 
 def test_stand_reward_is_earned_at_rest_at_the_target_in_the_window():

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from arrive.errors import ArriveError
-from arrive.fields import NotNegative, NotPositive, Positive
+from arrive.fields import NotNegative, NotPositive, Positive, Share
+from arrive.task.rotation import yaw_of
 from arrive.task.state import Command, State
 
 STALL_SPEED = 0.1
@@ -59,6 +60,10 @@ class Approach(Reward):
     radius: Positive = 0.5
     """The reward is 1 when the robot is closer to the target than both this and the arrival radius [m]. With the
     arrival radius alone, robots may learn to stop exactly there and miss it by a centimetre."""
+    facing: Share = 0.0
+    """The reward falls in proportion where the absolute cosine of the angle between the robot's x axis and the
+    direction to the target is below this. With 0, the robot may turn as it likes; with 0.7, its front or rear must
+    point to the target within 45 degrees."""
 
 
 @dataclass(frozen=True)
@@ -145,17 +150,29 @@ def _closing(state: State, command: Command) -> tuple[Tensor, Tensor]:
     return (state.base_lin_vel_w[:, :2] * offset).sum(-1) / distance.clamp(min=1e-6), distance
 
 
-def approach(state: State, command: Command, *, speed: float, radius: float, arrival_radius: float) -> Tensor:
+def _alignment(state: State, command: Command) -> Tensor:
+    """(n,) absolute cosine of the horizontal angle between the robot's x axis and the direction to the target."""
+    offset = (command.target_w - state.base_pos_w)[:, :2]
+    yaw = yaw_of(state.base_quat_w)
+    axis = torch.stack([torch.cos(yaw), torch.sin(yaw)], dim=-1)
+    return torch.cosine_similarity(offset, axis, dim=-1).abs()
+
+
+def approach(
+    state: State, command: Command, *, speed: float, radius: float, facing: float, arrival_radius: float
+) -> Tensor:
     """Speed towards the target, up to `speed`; 1 within `radius`. Not in the paper.
 
     Unlike the cosine of eq. 3 it grows with speed, so that shuffling earns less than walking. If the arrival radius is
-    smaller than `radius`, the arrival radius is used.
+    smaller than `radius`, the arrival radius is used. With `facing`, robots meet obstacles head-on.
 
     Returns:
         (n,) speed as a share of `speed`, -1 to 1.
     """
     closing, distance = _closing(state, command)
     share = (closing / speed).clamp(-1.0, 1.0)
+    if facing:
+        share = share * (_alignment(state, command) / facing).clamp(max=1.0)
     return torch.where(distance < min(radius, arrival_radius), torch.ones_like(share), share)
 
 
