@@ -6,6 +6,7 @@ from typing import Any
 
 from arrive.errors import ArriveError
 from arrive.files import read_json
+from arrive.results.read import protocol_of
 
 
 def keep_longer(path: Path, protocol: str, effort: float, force: bool) -> None:
@@ -53,12 +54,6 @@ def keep_others(path: Path, known: Callable[[dict[str, Any]], bool], force: bool
             "file"
         )
     return content
-
-
-def protocol_of(content: dict[str, Any]) -> str | None:
-    """Name of the protocol of a result, None if the content is something else."""
-    protocol = content.get("protocol")
-    return protocol.get("name") if isinstance(protocol, dict) else None
 
 
 def effort_of(content: dict[str, Any]) -> float:

@@ -20,12 +20,17 @@ def read_result(path: Path, kind: str) -> dict[str, Any]:
             message has the file and the place in it.
     """
     content = read_json(path)
-    protocol = content.get("protocol")
-    found = protocol.get("name") if isinstance(protocol, dict) else None
+    found = protocol_of(content)
     if found != kind:
         raise ArriveError(f"{path} holds no result of {kind!r}: its protocol.name is {found!a:.60}")
     check_result(content, kind, path)
     return content
+
+
+def protocol_of(content: dict[str, Any]) -> Any:
+    """What a result calls itself, None if the content is something else. It is not checked."""
+    protocol = content.get("protocol")
+    return protocol.get("name") if isinstance(protocol, dict) else None
 
 
 def read_if_there(path: Path, kind: str) -> dict[str, Any] | None:
