@@ -13,11 +13,13 @@ import onnxruntime
 import pytest
 
 import ros2_stub
+from arrive import cli
 from arrive.config import saved_config
 from arrive.deployment import Controller, GridHeights, Sensors, Target
 from arrive.simulation import SimulatedRobot
 from arrive.terrain.ground import ground_of
 from loading import load
+from tiny_runs import train_words
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -90,7 +92,18 @@ def targets_of(result) -> list[float]:
     return [float(line.split()[1]) for line in lines[1:]]
 
 
-def test_the_cpp_program_asks_for_the_same_joint_targets_as_the_controller(run_policy, exported, tmp_path):
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory):
+    """An export of the preset as it is now, of networks that know nothing."""
+    folder = tmp_path_factory.mktemp("untrained") / "run"
+    cli.main(train_words(1, str(folder)))
+    cli.main(["export", str(folder), "-o", str(folder / "robot.onnx")])
+    return folder / "robot.onnx"
+
+
+@pytest.mark.parametrize("file", ["exported", "untrained"])
+def test_the_cpp_program_asks_for_the_same_joint_targets_as_the_controller(run_policy, file, request, tmp_path):
+    exported = request.getfixturevalue(file)
     controller, rng = Controller.load(exported), np.random.default_rng(0)
     policy, joints = controller.policy, len(controller.policy.robot.joint_names)
     for _ in range(5):

@@ -92,6 +92,63 @@ Vec3 to_base(const std::array<double, 4>& quat, const Vec3& v) {
   };
 }
 
+// The same the other way round: the quaternion of the inverse rotation has the opposite axis.
+Vec3 to_world(const std::array<double, 4>& quat, const Vec3& v) {
+  return to_base({quat[0], -quat[1], -quat[2], -quat[3]}, v);
+}
+
+// A foot in the base frame: from its last link back to the base, turning about one joint after the other.
+Vec3 foot_in_base(const Policy& policy, const Json& foot, const Vector& joint_pos) {
+  const auto names = policy.robot.at("joint_names").get<std::vector<std::string>>();
+  const auto& links = foot.at("links");
+  Vec3 place = foot.at("foot_m");
+  for (auto link = links.rbegin(); link != links.rend(); ++link) {
+    const auto joint = std::find(names.begin(), names.end(), link->at("joint").get<std::string>()) - names.begin();
+    const double sin = std::sin(joint_pos.at(joint) / 2), cos = std::cos(joint_pos.at(joint) / 2);
+    const Vec3 axis = link->at("axis");
+    const Vec3 turned = to_world({cos, sin * axis[0], sin * axis[1], sin * axis[2]}, place);
+    const auto rotation = link->at("rotation").get<std::array<Vec3, 3>>();
+    place = link->at("pos_m");
+    for (size_t i = 0; i < 3; ++i)
+      for (size_t j = 0; j < 3; ++j) place[i] += rotation[i][j] * turned[j];
+  }
+  return place;
+}
+
+// Number of grid points along y, and how far ground at one of them lies below the point that heights are relative to.
+size_t grid_columns(const Json& points) {
+  const auto in_first_row = [&](const Json& point) { return point.at(0) == points.at(0).at(0); };
+  return std::count_if(points.begin(), points.end(), in_first_row);
+}
+
+double below(const Policy& policy, const State& state, size_t point) {
+  const auto& clip = policy.heights.at("clip_m");
+  const double offset = policy.heights.at("offset_m");
+  return std::clamp<double>(state.base_pos_w[2] - offset - state.heights_w.at(point), clip.at(0), clip.at(1));
+}
+
+// Heights at the grid's points nearest to places around each foot, which are given in the heading frame.
+Vector foot_heights(const Policy& policy, const State& state) {
+  const Json& points = policy.heights.at("points_m");
+  const double step = policy.heights.at("step_m"), low_x = points.at(0).at(0), low_y = points.at(0).at(1);
+  const size_t columns = grid_columns(points), rows = points.size() / columns;
+  const Vec3 forward = to_world(state.base_quat_w, {1.0, 0.0, 0.0});
+  const double yaw = std::atan2(forward[1], forward[0]);
+  const auto cell = [step](double place, double low, size_t count) {
+    return static_cast<size_t>(std::clamp(std::nearbyint((place - low) / step), 0.0, count - 1.0));
+  };
+  Vector heights;
+  for (const auto& foot : policy.robot.at("feet")) {
+    const Vec3 at = to_world(state.base_quat_w, foot_in_base(policy, foot, state.joint_pos));
+    const double x = std::cos(yaw) * at[0] + std::sin(yaw) * at[1], y = std::cos(yaw) * at[1] - std::sin(yaw) * at[0];
+    for (const auto& place : policy.heights.at("foot_points_m")) {
+      const double dx = place.at(0), dy = place.at(1);
+      heights.push_back(below(policy, state, cell(x + dx, low_x, rows) * columns + cell(y + dy, low_y, columns)));
+    }
+  }
+  return heights;
+}
+
 Vector to_vector(const Vec3& v) { return {v.begin(), v.end()}; }
 
 // One slice of the observation before it is scaled.
@@ -113,18 +170,15 @@ Vector term(const std::string& name, const Policy& policy, const State& state) {
   }
   if (name == "joint_vel") return state.joint_vel;
   if (name == "action") return state.action;
+  if (name == "foot_heights") return foot_heights(policy, state);
   if (name == "heights") {
-    const double offset = policy.heights.at("offset_m");
-    const auto clip = policy.heights.at("clip_m").get<std::vector<double>>();
     const Json& points = policy.heights.at("points_m");
     const size_t samples = policy.heights.value("samples", 1);  // points per side of a height's square
-    const size_t columns = std::count_if(points.begin(), points.end(),
-                                         [&](const Json& point) { return point.at(0) == points.at(0).at(0); });
+    const size_t columns = grid_columns(points);
     Vector mean(points.size() / (samples * samples), 0.0);
     for (size_t i = 0; i < points.size(); ++i) {
-      const double below = std::clamp(state.base_pos_w[2] - offset - state.heights_w.at(i), clip.at(0), clip.at(1));
       const size_t row = i / columns / samples, column = i % columns / samples;
-      mean.at(row * (columns / samples) + column) += below / (samples * samples);
+      mean.at(row * (columns / samples) + column) += below(policy, state, i) / (samples * samples);
     }
     return mean;
   }

@@ -4,7 +4,9 @@ import itertools
 import math
 
 from arrive.config import Config
+from arrive.robots import get_robot
 from arrive.room import check_room
+from arrive.task.heights import FootHeightsConfig, HeightsConfig
 
 WORLD = 0.4e6
 """A compiled world [bytes]. This and the next two are measured with MuJoCo 4.0.1 and torch 2.13 on x86-64."""
@@ -51,8 +53,13 @@ def check_robots(config: Config, worlds: int, tiles: int, learning: bool = False
 
 def observed(config: Config) -> float:
     """Size of the observation, rounded up."""
-    grid = config.observation.heights
-    return OTHER_TERMS + math.prod(extent / grid.step + 1 for extent in (grid.length, grid.width))
+    grid, feet = config.observation.heights, config.observation.foot_heights
+    around_foot = _samples(feet) if feet.enabled else 0.0
+    return OTHER_TERMS + _samples(grid) + len(get_robot(config.robot).foot_sites) * around_foot
+
+
+def _samples(grid: HeightsConfig | FootHeightsConfig) -> float:
+    return math.prod(extent / grid.step + 1 for extent in (grid.length, grid.width))
 
 
 def robot_bytes(config: Config) -> float:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from arrive.config import Config, PPOConfig, ScheduleConfig, TerrainConfig
 from arrive.errors import unknown_name
 from arrive.task.final import FinalConfig
-from arrive.task.heights import HeightsConfig
+from arrive.task.heights import FootHeightsConfig, HeightsConfig
 from arrive.task.observations import ObservationConfig
 from arrive.task.rewards import Approach, Cost, PositionRewards, Reward, Stall
 
@@ -41,9 +41,10 @@ def robust() -> Config:
         num_envs=1024,
         terrain=TerrainConfig(levels=30, demotion_share=0.5),
         observation=ObservationConfig(
+            foot_heights=FootHeightsConfig(enabled=True),
             heights=HeightsConfig(
                 noise=0.05, scale=2.0, clip=(-1.0, 0.4), length=2.0, width=1.25, step=0.125, samples=3
-            )
+            ),
         ),
         task=FinalConfig(
             episode_s=8.0,

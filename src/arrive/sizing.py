@@ -23,7 +23,7 @@ def for_robot(config: Config, robot: Robot) -> Config:
     """The configuration for this robot, with values scaled to its size and mass. For ANYmal C nothing changes."""
     size, mass = robot.size, robot.mass_share
     observation, random, task = config.observation, config.randomisation, config.task
-    heights, rewards = observation.heights, task.rewards
+    heights, feet, rewards = observation.heights, observation.foot_heights, task.rewards
     weight_factors = {"torque_cost": (mass * size) ** -2, "joint_acc_cost": size**2}
     terms = {name: Cost(_scaled(getattr(rewards, name).weight, factor)) for name, factor in weight_factors.items()}
     if hasattr(rewards, "stall_cost"):
@@ -38,6 +38,12 @@ def for_robot(config: Config, robot: Robot) -> Config:
         robot=robot.name,
         observation=replace(
             observation,
+            foot_heights=replace(
+                feet,
+                length=_scaled(feet.length, size),
+                width=_scaled(feet.width, size),
+                step=_scaled(feet.step, size),
+            ),
             heights=replace(
                 heights,
                 noise=_scaled(heights.noise, size),

@@ -34,6 +34,9 @@ TERMS: dict[str, TermMeaning] = {
     "action": TermMeaning(
         "action scale", "joint", "the network's last output; after a safe stance, the pose that was held"
     ),
+    "foot_heights": TermMeaning(
+        "m", "heading", "as heights, at the grid's points nearest to a small grid around each foot"
+    ),
     "heights": TermMeaning("m", "heading", "clip(base z - offset - ground, *clip) at the grid's points"),
 }
 """In the order of training."""

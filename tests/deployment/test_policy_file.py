@@ -96,7 +96,7 @@ def test_the_exported_file_has_the_evaluation(run, tmp_path):
         (edit("observation", swap_slices), True, r"observation\[0\]"),
         (edit("observation", lambda terms: terms[4].update(scale=1.0)), True, r"observation\[4\].scale"),
         (edit("observation", lambda terms: terms[4].update(stop=14)), True, "slice"),
-        (edit("observation", lambda terms: terms.pop()), True, "has 236 observations"),
+        (edit("observation", lambda terms: terms.pop()), True, "has 320 observations"),
         (edit("robot", lambda robot: robot.update(stiffness=90.0)), True, r"robot.stiffness is 90.0, not 80.0"),
         (edit("robot", lambda robot: robot["joint_names"].reverse()), True, r"robot.joint_names\[0\]"),
         (edit("robot", lambda robot: robot.pop("damping")), True, "damaged"),
@@ -160,7 +160,7 @@ def small(run, tmp_path_factory):
     """An export of a network with 8 hidden neurons."""
     policy = load_policy(run)
     torch.manual_seed(0)
-    sample = TensorDict({POLICY: torch.zeros(1, 236)}, batch_size=[1])
+    sample = TensorDict({POLICY: torch.zeros(1, policy.schema[-1]["stop"])}, batch_size=[1])
     actor = make_actor(
         dataclasses.replace(policy.config.ppo, hidden=(8,)), sample, 12, make_reflections(an_env("flat"))
     )
@@ -222,6 +222,18 @@ HOSTILE = {
     "squares that do not fit": (put("heights", "samples", 5), "heights.samples is 5, which does not divide a grid"),
     "other squares": (put("heights", "samples", 1), "heights"),
     "clips of one side": (put("heights", "clip_m", [0.1, 0.4]), "heights.clip_m"),
+    "no feet": (edit("robot", lambda robot: robot.pop("feet")), "must both be given"),
+    "nothing around the feet": (put("heights", "foot_points_m", []), "must both be given"),
+    "places in space": (put("heights", "foot_points_m", 3, [0.0, 30.0]), r"foot_points_m\[3\]"),
+    "a foot too few": (edit("robot", lambda robot: robot["feet"].pop()), "foot_heights"),
+    "a foot of no joints": (put("robot", "feet", 1, "links", []), r"robot.feet\[1\] has the joints \[\]"),
+    "a joint of another robot": (put("robot", "feet", 1, "links", 0, "joint", "ELBOW"), "ELBOW"),
+    "a joint twice": (put("robot", "feet", 1, "links", 0, "joint", "LH_HFE"), "1 to 20 different"),
+    "a leg in mm": (put("robot", "feet", 1, "links", 2, "pos_m", [0.0, 0.1, -285.0]), "LH_KFE: pos_m"),
+    "a long axis": (put("robot", "feet", 0, "links", 0, "axis", [1.0, 1.0, 0.0]), "not of length 1"),
+    "a stretch": (put("robot", "feet", 0, "links", 0, "rotation", 0, [2.0, 0.0, 0.0]), "not a rotation"),
+    "a line of a matrix": (put("robot", "feet", 0, "links", 0, "rotation", [[1.0, 0.0, 0.0]]), "not a rotation"),
+    "a foot without a place": (edit("robot", lambda robot: robot["feet"][0].pop("foot_m")), "damaged"),
     "golden zeros": (
         edit("golden", lambda golden: golden.update({x: (0 * np.array(golden[x])).tolist() for x in GOLDEN})),
         "golden.observations are all the same",
@@ -379,8 +391,8 @@ def test_a_failed_export_keeps_the_existing_file(run, tmp_path, monkeypatch):
 
 def test_labels_of_cells_may_be_rounded_but_not_moved(exported, tmp_path):
     def rounded(terms):
-        terms[8]["labels"] = [f"({float(x):.1f}, {float(y):.1f})" for x, y in
-                              (label.strip("()").split(",") for label in terms[8]["labels"])]  # fmt: skip
+        terms[-1]["labels"] = [f"({float(x):.1f}, {float(y):.1f})" for x, y in
+                              (label.strip("()").split(",") for label in terms[-1]["labels"])]  # fmt: skip
 
     verify(changed(exported, tmp_path, edit("observation", rounded), sealed=True))
     moved = put("observation", 8, "labels", 3, "(5.0, 5.0)")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from arrive import cli
 from arrive.build import Placement, build_env
 from arrive.config import override
 from arrive.deployment import Controller
@@ -21,9 +22,11 @@ from arrive.evaluation.closed_loop import (
     with_measured_gravity,
 )
 from arrive.learning.policy import load_policy
+from arrive.task.observations import Observer
 from arrive.task.rotation import quat_of_yaw, rotate_inverse, yaw_of
 from arrive.terrain import FAMILIES
 from loading import ROOT
+from tiny_runs import train_words
 
 RUN = ROOT / "policies" / "walk"
 GRAVITY, HEIGHTS = slice(6, 9), slice(49, 236)
@@ -90,6 +93,40 @@ def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeyp
     assert compared > 20
     assert near.any()
     assert inside.float().mean() > 0.5
+
+
+def test_controllers_observe_the_ground_around_their_feet(tmp_path, monkeypatch):
+    """On steps, with noise within the bounds of training, beside cells that are as noisy as the network's."""
+    cli.main(train_words(1, str(tmp_path / "run")))
+    cli.main(["export", str(tmp_path / "run"), "-o", str(tmp_path / "robot.onnx")])
+    policy, file = load_policy(tmp_path / "run"), open_policy(str(tmp_path / "robot.onnx"))
+    config = override(policy.config, ("num_envs=8", 'terrain.families=["steps"]'))
+    env = build_env(config, Placement(values=((0.1,),), assignment=(torch.zeros(8).long(),) * 2), threads=1)
+    qpos, qvel = torch.zeros(8, 19), torch.zeros(8, 18)
+    qpos[:, 0], qpos[:, 1], qpos[:, 2], qpos[:, 3] = 2.0, torch.linspace(-2.0, 2.0, 8), 0.6, 1.0
+    qpos[:, 7:] = torch.tensor(env.robot.default_joint_pos)
+    env.physics.reset(torch.arange(8), qpos.double(), qvel.double())
+    env.load_state_dict(env.state_dict())
+    seen, attempt = [], Controller._attempt
+
+    def spy(controller, frame):
+        seen.append(controller.observe(frame)[0])
+        return attempt(controller, frame)
+
+    monkeypatch.setattr(Controller, "_attempt", spy)
+    observation, generator = env.get_observations()[POLICY], torch.Generator()
+    ControlledRobots(env, file).act(observation)
+    clean = Observer(env.observer.terms, False, env.device).observe(env.state, env.task.command, generator)
+    mine = torch.from_numpy(np.stack(seen)).float()
+    feet, cells = ((slice(term.start, term.stop), term.scale) for term in file.terms[-2:])
+    noise = (mine - clean)[:, feet[0]] / feet[1]
+    bound = config.observation.heights.noise
+    within = noise.abs() < 1.001 * bound  # others are of neighbouring points, because joints are measured with noise
+    assert float(within.float().mean()) > 0.95
+    assert float(noise[within].std()) == pytest.approx(bound / 3**0.5, rel=0.15)
+    assert float(clean[:, feet[0]].std(1).max()) > bound * feet[1], "the feet stand on flat ground"
+    agree = ((mine - observation)[:, cells[0]] / cells[1]).abs() < 1e-4
+    assert float(agree.float().mean()) > 0.9
 
 
 def test_controllers_observe_at_least_half_a_second_of_time_left(policy, file, monkeypatch):

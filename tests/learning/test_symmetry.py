@@ -16,18 +16,19 @@ from arrive.learning.networks import Network
 from arrive.learning.symmetry import make_reflections
 from arrive.presets import PAPER_REWARDS
 from arrive.task.final import FinalConfig
+from arrive.task.heights import FootHeightsConfig
 
 ACROSS = [1, -1, 1]
 """Reflection of a vector about the x-z plane."""
 
 
-def two_robots(family: str, value: float, robot: str = "anymal_c") -> ArriveEnv:
-    """Two robots on the same tile, which is its own mirror image, undisturbed."""
+def two_robots(family: str, value: float, robot: str = "anymal_c", feet: bool = False) -> ArriveEnv:
+    """Two robots on the same tile, which is its own mirror image, undisturbed. With `feet` they see foot heights."""
     config = Config(
         num_envs=2,
         robot=robot,
         terrain=TerrainConfig(families=(family,), variants=1),
-        observation=ObservationConfig(noise=False),
+        observation=ObservationConfig(noise=False, foot_heights=FootHeightsConfig(enabled=feet)),
         randomisation=RandomisationConfig(push_speed=0.0),
         task=FinalConfig(rewards=PAPER_REWARDS),
     )
@@ -113,7 +114,7 @@ def test_a_mirrored_robot_has_mirrored_observations_and_equal_rewards(family, va
 
 def test_a_reversed_robot_has_reversed_observations():
     """Front-back reflection of states and of the pit's ground, whose image it is, before anything moves."""
-    env = two_robots("pit", 0.4)
+    env = two_robots("pit", 0.4, feet=True)
     rng = np.random.default_rng(3)
     qpos, qvel = np.zeros((2, 19)), rng.normal(0.0, 0.3, (2, 18))
     quat = np.array([np.cos(0.3), 0.05, -0.02, np.sin(0.3)])
@@ -133,7 +134,9 @@ def test_a_reversed_robot_has_reversed_observations():
     observation = env.get_observations()[POLICY]
     (reverse,) = make_reflections(env)
     torch.testing.assert_close(observation[1:], reverse.observation(observation[:1]), atol=1e-5, rtol=0.0)
-    assert (observation[0] - observation[1]).abs().max() > 0.1
+    around_feet = next(row for row in env.observer.schema() if row["name"] == "foot_heights")
+    for part in (slice(0, around_feet["start"]), slice(around_feet["start"], around_feet["stop"])):
+        assert (observation[0] - observation[1])[part].abs().max() > 0.1
 
 
 def test_a_reflection_of_a_reflection_is_the_original():

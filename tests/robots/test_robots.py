@@ -16,7 +16,7 @@ from arrive.recipe import make_config
 from arrive.robots import ROBOTS
 from arrive.robots.robot import Robot
 from arrive.sizing import for_robot
-from arrive.task.heights import HeightGrid
+from arrive.task.heights import FootGrid, HeightGrid
 from arrive.task.randomisation import start_states
 from arrive.terrain import build_tile, get_family, parse_families
 from hexapod import HEXAPOD
@@ -276,6 +276,8 @@ def test_a_preset_is_fitted_to_the_robots_size():
         assert config.randomisation.start_joint_scale * widest == pytest.approx(0.4, rel=1e-3)
     before, after = HeightGrid(plain.observation.heights).points, HeightGrid(small.observation.heights).points
     np.testing.assert_allclose(after, 0.7 * before, atol=1e-6)
+    around = FootGrid(plain.observation.foot_heights).offsets, FootGrid(small.observation.foot_heights).offsets
+    np.testing.assert_allclose(around[1], 0.7 * around[0], atol=1e-6)
     # Torque over mass and length, and angular acceleration over gravity and length, cost the same.
     torque = 0.7 * 15.2064 / 52.13485
     ours, theirs = small.task.rewards, plain.task.rewards

@@ -12,7 +12,7 @@ from arrive.env import POLICY, ArriveEnv
 from arrive.presets import PAPER_REWARDS, robust
 from arrive.robots import get_robot
 from arrive.task.final import FinalConfig
-from arrive.task.heights import HeightGrid, HeightsConfig
+from arrive.task.heights import FootHeightsConfig, HeightGrid, HeightsConfig
 from arrive.task.observations import Observer, observation_terms
 from arrive.terrain import FAMILIES
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, cell_index
@@ -29,7 +29,7 @@ TERMS = (
     "heights",
 )
 SIZES = (3, 3, 3, 3, 1, 12, 12, 12, 17 * 11)
-PAPER_HEIGHTS = HeightsConfig()
+PAPER_HEIGHTS, NOT_OBSERVED = HeightsConfig(), FootHeightsConfig()
 NOISY = {"base_lin_vel", "base_ang_vel", "gravity", "joint_pos", "joint_vel", "heights"}
 
 
@@ -38,12 +38,13 @@ def an_env(
     families: tuple[str, ...] = ("flat",),
     noise: bool = False,
     heights: HeightsConfig = PAPER_HEIGHTS,
+    feet: FootHeightsConfig = NOT_OBSERVED,
 ) -> ArriveEnv:
     """Robots on the first family's hardest level, the second's, and so on; nothing happens to them."""
     config = Config(
         num_envs=num_envs,
         terrain=TerrainConfig(families=families, variants=1),
-        observation=ObservationConfig(noise=noise, heights=heights),
+        observation=ObservationConfig(noise=noise, heights=heights, foot_heights=feet),
         randomisation=RandomisationConfig(push_speed=0.0),
         task=FinalConfig(rewards=PAPER_REWARDS),
     )
@@ -229,6 +230,44 @@ def test_heights_are_those_that_rays_find_on_every_family():
         assert (error < 1e-4).mean() > 0.99, name
         tile = env.pool.tiles[env.tile_of_env[i]]
         np.testing.assert_allclose(tile.heights[rows, columns], ground, atol=1e-4, err_msg=name)
+
+
+def test_foot_heights_are_those_of_the_grids_points_nearest_to_each_foots_samples():
+    """On steps, for robots in all poses, from the foot's place by MuJoCo and rays through the grid's points."""
+    fine = HeightsConfig(length=2.0, width=1.25, step=0.125, samples=3)
+    env = an_env(12, ("steps",), heights=fine, feet=FootHeightsConfig(enabled=True, length=0.2, width=0.08, step=0.04))
+    qpos, qvel = random_states(env.num_envs, seed=2)
+    put(env, qpos, qvel)
+    found, points = sensed(env)["foot_heights"], HeightGrid(fine).points.numpy()
+    assert found.shape == (12, 4 * 6 * 3)
+    agree, beside = [], 0
+    for i in range(env.num_envs):
+        model = env.physics.model_of_env(i)
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos[i]
+        mujoco.mj_forward(model, data)
+        forward = rotation(qpos[i, 3:7])[:2, 0] / np.linalg.norm(rotation(qpos[i, 3:7])[:2, 0])
+        left = np.array([-forward[1], forward[0]])
+        samples = found[i].reshape(4, 6, 3)
+        for foot, site in enumerate(env.robot.foot_sites):
+            off = data.site(site).xpos[:2] - qpos[i, :2]
+            for row, column in np.ndindex(6, 3):
+                place = np.array([off @ forward - 0.1 + 0.04 * row, off @ left - 0.04 + 0.04 * column])
+                x, y = points[np.linalg.norm(points - place, axis=1).argmin()]
+                beside += np.linalg.norm(place - (x, y)) > 0.03
+                cell = cell_index(qpos[i, :2] + x * forward + y * left)
+                center = (np.array(cell) + 0.5) * RASTER_CELL - RASTER_HALF
+                ground = ray_height(model, data, *center)
+                agree.append(abs(samples[foot, row, column] - np.clip(qpos[i, 2] - 0.5 - ground, -1.0, 1.0)) < 1e-4)
+    assert np.mean(agree) > 0.98
+    assert 0 < beside < 0.2 * len(agree), "no sample lay outside the grid"
+    assert (np.ptp(found, axis=1) > 0.1).mean() > 0.5, "the feet stand on flat ground"
+
+
+def test_the_policy_does_not_observe_foot_heights_unless_they_are_enabled():
+    assert "foot_heights" not in sensed(an_env(1))
+    names = [row["name"] for row in an_env(1, feet=FootHeightsConfig(enabled=True)).observer.schema()]
+    assert names == [*TERMS[:-1], "foot_heights", "heights"]
 
 
 def noise_of(env: ArriveEnv, samples: int) -> dict[str, Tensor]:

@@ -1,6 +1,7 @@
 """Writes a trained policy as one self-describing ONNX file, and compares such a file with this version."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ from arrive.learning.policy import Policy
 from arrive.policies import DIFFICULTY_NAME
 from arrive.results.read import read_if_there
 from arrive.robots import get_robot
+from arrive.robots.legs import foot_chains
 from arrive.robots.robot import Robot
 from arrive.task.final import FinalConfig, PositionConfig
-from arrive.task.heights import HeightGrid
+from arrive.task.heights import FootGrid, HeightGrid
 from arrive.task.observations import Observer, height_offset
 from arrive.task.registry import get_task
 from arrive.terms import same_label
@@ -84,21 +86,21 @@ def _compare(path: Path, where: str, found: Any, expected: Any) -> None:
 
 def policy_sections(config: Config) -> dict[str, Any]:
     """The sections of the metadata that follow from the configuration and this version of arrive."""
-    robot, heights = get_robot(config.robot), config.observation.heights
+    robot, heights, feet = get_robot(config.robot), config.observation.heights, config.observation.foot_heights
     # The format requires targets. For a task without targets, they are those of the paper.
     task = config.task if isinstance(config.task, PositionConfig) else FinalConfig()
     grid = HeightGrid(heights)
     sections = {
-        "robot": _describe_robot(robot),
+        "robot": _describe_robot(robot) | ({"feet": list(map(asdict, foot_chains(robot)))} if feet.enabled else {}),
         "control": {"period_s": config.physics.control_dt},
         "observation": _schema(config, robot),
         "heights": {
-            # Rounded, because in float32 0.1 has many digits.
-            "points_m": [[round(x, 6) for x in point] for point in grid.points.tolist()],
+            "points_m": _points(grid.points),
             "step_m": heights.step / heights.samples,
             "offset_m": height_offset(robot),
             "clip_m": list(heights.clip),
             **({"samples": heights.samples} if heights.samples > 1 else {}),
+            **({"foot_points_m": _points(FootGrid(feet).offsets)} if feet.enabled else {}),
         },
         "task": {
             "name": config.task.name,
@@ -122,6 +124,11 @@ def _describe_robot(robot: Robot) -> dict[str, Any]:
         **{name: _one_or_each([getattr(motor, name) for motor in robot.motors]) for name in MOTOR_FIGURES},
         "standing_height_m": robot.standing_height,
     }
+
+
+def _points(points: Tensor) -> list[list[float]]:
+    """Rounded, because in float32 0.1 has many digits."""
+    return [[round(x, 6) for x in point] for point in points.tolist()]
 
 
 def _one_or_each(values: list[float]) -> float | list[float]:

@@ -17,6 +17,10 @@ LONGEST_TEXT = 200
 """Longest name, unit or label [characters]."""
 SAME_M = 1e-4
 """Tolerance for the positions of grid points."""
+SAME_TURN = 1e-6
+"""Tolerance for squared lengths of directions."""
+MOST_LINKS = 20
+"""Most joints from the base to a foot."""
 LEAST_GOLDEN = 1e-3
 """Golden inputs and outputs must vary by at least this. Constant pairs could be reproduced by any network."""
 
@@ -58,6 +62,13 @@ def numbers(name: str, values: Any, size: int) -> list[float]:
     if not isinstance(values, list) or len(values) != size:
         raise Implausible(f"{name} is not a list of {size} numbers")
     return [number(f"{name}[{i}]", value) for i, value in enumerate(values)]
+
+
+def lengths(name: str, values: Any, size: int) -> list[float]:
+    """The values, if they are `size` numbers that fit a robot's size [m]."""
+    if max(abs(value) for value in numbers(name, values, size)) > LARGEST_LENGTH_M:
+        raise Implausible(f"{name} is {values!r}, farther than {LARGEST_LENGTH_M:g} m")
+    return values
 
 
 def ascending(name: str, values: Any) -> tuple[float, float]:
@@ -129,6 +140,33 @@ def _is_grid(points: np.ndarray, low: np.ndarray, step: float, nx: int, ny: int)
     """Whether these are nx x ny points from `low` on, x slowest."""
     whole = low + step * np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
     return bool(np.abs(points - whole).max() <= SAME_M)
+
+
+def check_feet(robot: RobotSpec, grid: GridSpec) -> None:
+    """Check that the chains from the base to the feet are made of the robot's joints, lengths and rotations."""
+    if bool(robot.feet) != bool(grid.foot_points_m):
+        raise Implausible("robot.feet and heights.foot_points_m must both be given or both be absent")
+    for i, place in enumerate(grid.foot_points_m):
+        lengths(f"heights.foot_points_m[{i}]", place, 2)
+    for i, chain in enumerate(robot.feet):
+        name = f"robot.feet[{i}]"
+        lengths(f"{name}.foot_m", chain.foot_m, 3)
+        joints = [link.joint for link in chain.links]
+        if (
+            not 0 < len(joints) <= MOST_LINKS
+            or len(set(joints)) != len(joints)
+            or not {*joints} <= {*robot.joint_names}
+        ):
+            raise Implausible(f"{name} has the joints {joints}, not 1 to {MOST_LINKS} different ones of the robot")
+        for link in chain.links:
+            where = f"{name}, {link.joint}:"
+            lengths(f"{where} pos_m", link.pos_m, 3)
+            axis = np.array(numbers(f"{where} axis", link.axis, 3))
+            rotation = np.array([numbers(f"{where} rotation", row, 3) for row in link.rotation])
+            if abs(axis @ axis - 1.0) > SAME_TURN:
+                raise Implausible(f"{where} axis is {link.axis}, not of length 1")
+            if rotation.shape != (3, 3) or np.abs(rotation @ rotation.T - np.eye(3)).max() > SAME_TURN:
+                raise Implausible(f"{where} rotation is not a rotation matrix")
 
 
 def check_task(task: TaskSpec) -> None:

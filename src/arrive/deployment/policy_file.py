@@ -12,6 +12,7 @@ import onnxruntime
 from arrive.deployment.onnx_file import PREFIX, OnnxFile, read_onnx_file
 from arrive.deployment.plausible import (
     Implausible,
+    check_feet,
     check_golden,
     check_grid,
     check_robot,
@@ -23,6 +24,7 @@ from arrive.deployment.plausible import (
 )
 from arrive.deployment.specs import GridSpec, RobotSpec, TaskSpec, Term
 from arrive.errors import ArriveError, brief
+from arrive.kinematics import FootChain, Link
 
 FORMAT = 3
 """Version of the metadata format."""
@@ -72,13 +74,14 @@ def read_policy_file(path: Path | str) -> PolicyFile:
             meta,
             content.digest,
             terms=tuple(Term(**row) for row in meta["observation"]),
-            robot=RobotSpec(**meta["robot"]),
+            robot=RobotSpec(**meta["robot"] | {"feet": _feet(meta["robot"].get("feet", []))}),
             grid=GridSpec(**meta["heights"]),
             task=TaskSpec(**meta["task"]),
             period_s=positive("control.period_s", meta["control"]["period_s"], LONGEST_PERIOD_S),
         )
         check_robot(file.robot)
         check_grid(file.grid)
+        check_feet(file.robot, file.grid)
         check_task(file.task)
         check_training(meta["training"], meta["evaluation"])
         _check_terms(file)
@@ -91,6 +94,10 @@ def read_policy_file(path: Path | str) -> PolicyFile:
         fault = brief(repr(error))
         raise ArriveError(f"the metadata of {path} is damaged: {fault}. Export the policy again.") from error
     return file
+
+
+def _feet(rows: list[dict[str, Any]]) -> tuple[FootChain, ...]:
+    return tuple(FootChain(**row | {"links": [Link(**link) for link in row["links"]]}) for row in rows)
 
 
 def _open(path: Path, file: OnnxFile) -> onnxruntime.InferenceSession:

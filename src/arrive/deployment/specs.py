@@ -1,9 +1,11 @@
 """The robot, observation and task that an exported policy describes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+
+from arrive.kinematics import FootChain, FootKinematics
 
 PerJoint = float | list[float]
 """One number for all joints, or a list in the order of `joint_names`."""
@@ -48,6 +50,13 @@ class RobotSpec:
     """[rad/s]."""
     standing_height_m: float
     """Height of the base above flat ground in the default pose."""
+    feet: tuple[FootChain, ...] = ()
+    """From the base to each foot; empty if the policy does not observe the ground around its feet."""
+
+    @cached_property
+    def kinematics(self) -> FootKinematics:
+        """Computes the feet's positions."""
+        return FootKinematics(self.feet, self.joint_names)
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,9 @@ class GridSpec:
     """Range to which relative heights are clipped."""
     samples: int = 1
     """The network receives the mean of each square of this many points per side, after clipping."""
+    foot_points_m: list[list[float]] = field(default_factory=list)
+    """The network also receives the height of the grid's points nearest to these places around each foot, given from
+    the foot in the heading frame."""
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -71,6 +83,12 @@ class GridSpec:
         points = np.array(self.points_m)
         rows, columns = np.rint((points.max(axis=0) - points.min(axis=0)) / self.step_m).astype(int) + 1
         return int(rows), int(columns)
+
+    def nearest(self, places: np.ndarray) -> np.ndarray:
+        """(k,) index of the point nearest to each of (k, 2) places in the heading frame [m]."""
+        cells = np.rint((places - self.points_m[0]) / self.step_m)
+        row, column = np.clip(cells, 0, np.array(self.shape) - 1).astype(int).T
+        return row * self.shape[1] + column
 
     @property
     def num_heights(self) -> int:

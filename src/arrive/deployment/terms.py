@@ -3,6 +3,7 @@
 The exported file lists the terms of its network, with their order and scale.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -51,13 +52,28 @@ def _joints(policy: PolicyFile) -> int:
 
 
 def _heights(moment: Moment) -> np.ndarray:
-    grid = moment.policy.grid
-    below = moment.frame.base_pos_w[2] - grid.offset_m - moment.heights_w
-    clipped = np.minimum(np.maximum(below, grid.clip_m[0]), grid.clip_m[1])
+    grid, clipped = moment.policy.grid, _below(moment, moment.heights_w)
     if grid.samples == 1:
         return clipped
     rows, columns = (count // grid.samples for count in grid.shape)
     return clipped.reshape(rows, grid.samples, columns, grid.samples).mean(axis=(1, 3)).ravel()
+
+
+def _foot_heights(moment: Moment) -> np.ndarray:
+    grid, joint_pos = moment.policy.grid, moment.frame.joint_pos[None]
+    feet_b = moment.policy.robot.kinematics.positions_b(np.sin(joint_pos), np.cos(joint_pos))[0]
+    yaw = math.atan2(moment.to_world[1, 0], moment.to_world[0, 0])
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    feet = (feet_b @ moment.to_world.T)[:, :2] @ np.array([[cos, -sin], [sin, cos]])
+    places = feet[:, None] + np.array(grid.foot_points_m)
+    return _below(moment, moment.heights_w[grid.nearest(places.reshape(-1, 2))])
+
+
+def _below(moment: Moment, heights_w: np.ndarray) -> np.ndarray:
+    """How far ground lies below the point that heights are relative to, clipped [m]."""
+    grid = moment.policy.grid
+    below = moment.frame.base_pos_w[2] - grid.offset_m - heights_w
+    return np.minimum(np.maximum(below, grid.clip_m[0]), grid.clip_m[1])
 
 
 COMPUTED: dict[str, ObservedTerm] = {
@@ -69,6 +85,7 @@ COMPUTED: dict[str, ObservedTerm] = {
     "joint_pos": ObservedTerm(_joints, lambda m: m.frame.joint_pos - m.default),
     "joint_vel": ObservedTerm(_joints, lambda m: m.frame.joint_vel),
     "action": ObservedTerm(_joints, lambda m: m.action),
+    "foot_heights": ObservedTerm(lambda p: len(p.robot.feet) * len(p.grid.foot_points_m), _foot_heights),
     "heights": ObservedTerm(lambda policy: policy.grid.num_heights, _heights),
 }
 """The terms of `arrive.terms` that the controller can compute."""

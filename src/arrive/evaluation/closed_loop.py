@@ -15,6 +15,7 @@ from arrive.errors import ArriveError
 from arrive.evaluation.arrival import Cell, CellResult, evaluate
 from arrive.learning.policy import Policy
 from arrive.task.heights import HeightGrid
+from arrive.task.observations import relative_heights
 from arrive.task.rotation import rotate, rotate_inverse
 
 COMPARED = ("final", "continuous")
@@ -26,9 +27,10 @@ class ControlledRobots:
 
     A controller receives what the network would, noise included, but as measurements: from each slice of the noisy
     observation follows a sensor reading. Noise of the direction of gravity tilts the measured orientation; the target
-    is turned along, so that its direction from the base is as free of noise as in training. What differs is the
-    controller's own: it tells half a second when less is left, leads robots to far targets in parts, and limits joint
-    targets.
+    is turned along, so that its direction from the base is as free of noise as in training. The ground at all points of
+    a cell has the cell's noise; a network that observes the ground around its feet has separate noise there. What else
+    differs is the controller's own: it tells half a second when less is left, leads robots to far targets in parts, and
+    limits joint targets.
     """
 
     def __init__(self, env: ArriveEnv, file: PolicyFile):
@@ -38,7 +40,11 @@ class ControlledRobots:
         self._slices = {term.name: (slice(term.start, term.stop), term.scale) for term in file.terms}
         robot = file.robot
         self._default = torch.tensor(robot.default_joint_pos_rad, dtype=torch.double)
-        self._action_scale, self._height_offset = robot.action_scale_rad, file.grid.offset_m
+        self._action_scale, self._height_offset, self._clip = (
+            robot.action_scale_rad,
+            file.grid.offset_m,
+            file.grid.clip_m,
+        )
         self._grid = HeightGrid(env.config.observation.heights)
 
     def act(self, observation: Tensor) -> Tensor:
@@ -66,7 +72,11 @@ class ControlledRobots:
         tilted = with_measured_gravity(quat, state.gravity_b.double(), value["gravity"])
         way_b = rotate_inverse(quat, self._env.task.command.target_w.double() - pos)
         self._targets_w = pos + rotate(tilted, way_b)
-        self._heights_w = self._grid.spread(pos[:, 2:] - self._height_offset - value["heights"]).numpy()
+        below = self._grid.spread(value["heights"])
+        if "foot_heights" in value:  # needs what lies within a cell
+            exact = relative_heights(state, state.heights_w, self._height_offset).clamp(*self._clip)
+            below = exact + below - self._grid.spread(self._grid.pooled(exact))
+        self._heights_w = (pos[:, 2:] - self._height_offset - below).numpy()
         return {
             "joint_pos": (value["joint_pos"] + self._default).numpy(),
             "joint_vel": value["joint_vel"].numpy(),

@@ -39,6 +39,25 @@ class HeightsConfig:
         return (Rule("clip", "two numbers, the first below 0, the second above 0", self.clip[0] < 0.0 < self.clip[1]),)
 
 
+@dataclass(frozen=True)
+class FootHeightsConfig:
+    """The observation `foot_heights`: the ground around each foot, at the points of `heights` that are nearest.
+
+    Scale, clipping and noise are those of `heights`. Not in the paper.
+    """
+
+    MAIN: ClassVar[str] = "enabled"
+
+    enabled: bool = False
+    """Whether the policy observes it."""
+    length: Annotated[float, Range(0.0, 1.0)] = 0.3
+    """Extent of the samples along the heading, the foot in their middle [m]."""
+    width: Annotated[float, Range(0.0, 1.0)] = 0.1
+    """Extent of the samples across the heading [m]."""
+    step: Annotated[float, Range(0.01, 1.0)] = 0.05
+    """Distance between samples [m]."""
+
+
 class HeightGrid:
     """Square cells around the base, aligned with its heading, and the points at which their height is looked up.
 
@@ -50,7 +69,8 @@ class HeightGrid:
         x = _symmetric_range(config.length, config.step)
         y = _symmetric_range(config.width, config.step)
         self._shape, self._samples = (len(x), len(y)), config.samples
-        within = (torch.arange(config.samples) - (config.samples - 1) / 2) * (config.step / config.samples)
+        self._spacing = config.step / config.samples
+        within = (torch.arange(config.samples) - (config.samples - 1) / 2) * self._spacing
         self.cells = torch.cartesian_prod(x, y)
         """(cells, 2) centres."""
         self.points = torch.cartesian_prod(*((along[:, None] + within).flatten() for along in (x, y)))
@@ -68,10 +88,35 @@ class HeightGrid:
         cells = values.view(-1, *self._shape)
         return cells.repeat_interleave(self._samples, 1).repeat_interleave(self._samples, 2).flatten(1)
 
+    def nearest(self, places: Tensor) -> Tensor:
+        """(...) index of the point nearest to each of (..., 2) places in the heading frame [m]."""
+        rows, columns = (count * self._samples for count in self._shape)
+        low = self.points[0].to(places.device)
+        row, column = ((places - low) / self._spacing).round().unbind(-1)
+        return (row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)).long()
+
     def reverse(self) -> list[int]:
         """For each cell, the index of its front-back mirror image."""
-        count_y = self._shape[1]
-        return [len(self.cells) - count_y - i + 2 * (i % count_y) for i in range(len(self.cells))]
+        return _reverse(*self._shape)
+
+
+class FootGrid:
+    """The samples around a foot: a regular grid, aligned with the heading, the foot in its middle."""
+
+    def __init__(self, config: FootHeightsConfig):
+        """Place the samples."""
+        x, y = _symmetric_range(config.length, config.step), _symmetric_range(config.width, config.step)
+        self._shape = len(x), len(y)
+        self.offsets = torch.cartesian_prod(x, y)
+        """(samples, 2) from the foot, in the heading frame, x slowest [m]."""
+
+    def reverse(self) -> list[int]:
+        """For each sample, the index of its front-back mirror image."""
+        return _reverse(*self._shape)
+
+
+def _reverse(rows: int, columns: int) -> list[int]:
+    return [(rows - 1 - i // columns) * columns + i % columns for i in range(rows * columns)]
 
 
 def _symmetric_range(extent: float, step: float) -> Tensor:

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from arrive.errors import ArriveError, unknown_name
 from arrive.fields import NotNegative, Share
+from arrive.robots.legs import foot_partners
 from arrive.robots.robot import Robot
-from arrive.task.heights import HeightGrid, HeightsConfig
-from arrive.task.rotation import rotate_inverse
+from arrive.task.heights import FootGrid, FootHeightsConfig, HeightGrid, HeightsConfig
+from arrive.task.rotation import rotate, rotate_inverse, yaw_of
 from arrive.task.state import Command, State
 from arrive.terms import TERMS, TermMeaning
 
@@ -53,6 +54,7 @@ class ObservationConfig:
     """Joint positions [rad]."""
     joint_vel: Noise = _noise(1.5)
     """Joint velocities [rad/s]."""
+    foot_heights: FootHeightsConfig = field(default_factory=FootHeightsConfig)
     heights: HeightsConfig = field(default_factory=HeightsConfig)
 
 
@@ -139,9 +141,10 @@ def around_command(
     """
     joints = robot.joint_names
     reverse_joints = reverse_map(robot)
-    grid, clip, offset = HeightGrid(config.heights), config.heights.clip, height_offset(robot)
+    grid, offset = HeightGrid(config.heights), height_offset(robot)
     cells = tuple(f"({x:g}, {y:g})" for x, y in grid.cells.tolist())
     reverse_cells = tuple((i, 1.0) for i in grid.reverse())
+    around_feet = (_foot_heights(robot, config, grid),) if config.foot_heights.enabled else ()
     return (
         ObservationTerm("base_lin_vel", XYZ, 2.0, config.base_lin_vel.noise, VECTOR_REVERSE,
                         lambda s, c: s.base_lin_vel_b),
@@ -153,10 +156,40 @@ def around_command(
         ObservationTerm("joint_pos", joints, 1.0, config.joint_pos.noise, reverse_joints, lambda s, c: s.joint_offset),
         ObservationTerm("joint_vel", joints, 0.05, config.joint_vel.noise, reverse_joints, lambda s, c: s.joint_vel),
         ObservationTerm("action", joints, 1.0, 0.0, reverse_joints, lambda s, c: s.action),
+        *around_feet,
         ObservationTerm("heights", cells, config.heights.scale, config.heights.noise, reverse_cells,
-                        lambda s, c: grid.pooled(relative_heights(s, offset).clamp(*clip)),
-                        f", {offset:g} m below the base, positive down"),
+                        lambda s, c: grid.pooled(relative_heights(s, s.heights_w, offset).clamp(*config.heights.clip)),
+                        _below(offset)),
     )  # fmt: skip
+
+
+def _foot_heights(robot: Robot, config: ObservationConfig, grid: HeightGrid) -> ObservationTerm:
+    """The ground around each foot. Only points of the grid are used, so that a controller needs no others."""
+    around, offset, heights = FootGrid(config.foot_heights), height_offset(robot), config.heights
+    labels = tuple(f"{foot} ({x:g}, {y:g})" for foot in robot.foot_sites for x, y in around.offsets.tolist())
+    samples = len(around.offsets)
+    reverse = tuple((foot * samples + i, 1.0) for foot in foot_partners(robot) for i in around.reverse())
+
+    def compute(state: State, command: Any) -> Tensor:
+        places = feet_in_heading(state).unsqueeze(2) + around.offsets.to(state.foot_pos_b.device)
+        below = state.heights_w.gather(1, grid.nearest(places).flatten(1))
+        return relative_heights(state, below, offset).clamp(*heights.clip)
+
+    return ObservationTerm("foot_heights", labels, heights.scale, heights.noise, reverse, compute, _below(offset))
+
+
+def _below(offset: float) -> str:
+    return f", {offset:g} m below the base, positive down"
+
+
+def feet_in_heading(state: State) -> Tensor:
+    """(n, feet, 2) horizontal positions of the feet, forward and left of the base [m]."""
+    n, feet, _ = state.foot_pos_b.shape
+    quat = state.base_quat_w.repeat_interleave(feet, dim=0)
+    x, y, _ = rotate(quat, state.foot_pos_b.flatten(0, 1)).view(n, feet, 3).unbind(-1)
+    yaw = yaw_of(state.base_quat_w).unsqueeze(-1)
+    cos, sin = yaw.cos(), yaw.sin()
+    return torch.stack([cos * x + sin * y, cos * y - sin * x], dim=-1)
 
 
 def height_offset(robot: Robot) -> float:
@@ -164,9 +197,9 @@ def height_offset(robot: Robot) -> float:
     return HEIGHT_OFFSET * robot.size
 
 
-def relative_heights(state: State, offset: float) -> Tensor:
-    """(n, points) how far the ground lies below the point that is `offset` below the base [m]."""
-    return state.base_pos_w[:, 2:3] - offset - state.heights_w
+def relative_heights(state: State, heights_w: Tensor, offset: float) -> Tensor:
+    """(n, k) how far (n, k) heights lie below the point that is `offset` below the base [m]."""
+    return state.base_pos_w[:, 2:3] - offset - heights_w
 
 
 class Observer:

@@ -3,7 +3,9 @@
 import torch
 from torch import Tensor
 
+from arrive.kinematics import FootKinematics
 from arrive.physics.engine import Readings
+from arrive.robots.legs import foot_chains
 from arrive.robots.robot import Robot
 from arrive.task.feet import follow_feet
 from arrive.task.heights import HeightGrid, HeightsConfig, grid_heights
@@ -20,6 +22,9 @@ class Reader:
         self._rasters, self._dt = rasters, control_dt
         device = rasters.heights.device
         self._grid = HeightGrid(heights).points.to(device)
+        self._kinematics = FootKinematics(
+            foot_chains(robot), robot.joint_names, lambda table: torch.tensor(table, dtype=torch.float32, device=device)
+        )
         self._default_joint_pos = torch.tensor(robot.default_joint_pos, device=device)
         self._down = torch.tensor([0.0, 0.0, -1.0], device=device)
 
@@ -42,6 +47,7 @@ class Reader:
             joint_vel=readings.joint_vel,
             joint_acc=(readings.joint_vel - memory.joint_vel) / self._dt,
             joint_torque=readings.joint_torque,
+            foot_pos_b=self._kinematics.positions_b(readings.joint_pos.sin(), readings.joint_pos.cos()),
             foot_vel_w=readings.foot_vel_w,
             foot_acc_w=(readings.foot_vel_w - memory.foot_vel) * (moving / self._dt)[:, None, None],
             landed_air_s=landed_s,

@@ -34,6 +34,8 @@ class State:
     """(n, joints) change of joint_vel over the policy step [rad/s^2]."""
     joint_torque: Tensor
     """(n, joints) at the last physics step [N m]."""
+    foot_pos_b: Tensor
+    """(n, feet, 3) [m]."""
     foot_vel_w: Tensor
     """(n, feet, 3) [m/s]."""
     foot_acc_w: Tensor
