@@ -9,6 +9,8 @@ from torch import Tensor
 from arrive.fields import Interval, NotNegative, Positive, Range, Rule
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE
 
+CPU = torch.device("cpu")
+
 
 @dataclass(frozen=True)
 class HeightsConfig:
@@ -75,6 +77,7 @@ class HeightGrid:
         """(cells, 2) centres."""
         self.points = torch.cartesian_prod(*((along[:, None] + within).flatten() for along in (x, y)))
         """(points, 2) a regular grid."""
+        self._low = self.points[0].tolist()
 
     def pooled(self, values: Tensor) -> Tensor:
         """(n, cells) means over the points of each cell of (n, points) values."""
@@ -88,11 +91,10 @@ class HeightGrid:
         cells = values.view(-1, *self._shape)
         return cells.repeat_interleave(self._samples, 1).repeat_interleave(self._samples, 2).flatten(1)
 
-    def nearest(self, places: Tensor) -> Tensor:
-        """(...) index of the point nearest to each of (..., 2) places in the heading frame [m]."""
+    def nearest(self, x: Tensor, y: Tensor) -> Tensor:
+        """Index of the point nearest to each place; x and y in the heading frame are broadcast together [m]."""
         rows, columns = (count * self._samples for count in self._shape)
-        low = self.points[0].to(places.device)
-        row, column = ((places - low) / self._spacing).round().unbind(-1)
+        row, column = (((along - low) / self._spacing).round() for along, low in zip((x, y), self._low, strict=True))
         return (row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)).long()
 
     def reverse(self) -> list[int]:
@@ -101,27 +103,38 @@ class HeightGrid:
 
 
 class FootGrid:
-    """The samples around a foot: a regular grid, aligned with the heading, the foot in its middle."""
+    """The samples around a foot: a regular grid, aligned with the heading, the foot in its middle. x runs slowest."""
 
     def __init__(self, config: FootHeightsConfig):
-        """Place the samples."""
-        x, y = _symmetric_range(config.length, config.step), _symmetric_range(config.width, config.step)
+        """Prepare the samples' places."""
+        self._config = config
+        x, y = self._offsets(CPU)
         self._shape = len(x), len(y)
         self.offsets = torch.cartesian_prod(x, y)
-        """(samples, 2) from the foot, in the heading frame, x slowest [m]."""
+        """(samples, 2) from the foot, in the heading frame [m]."""
+
+    def around(self, feet: Tensor) -> tuple[Tensor, Tensor]:
+        """(n, feet, rows, 1) x and (n, feet, 1, columns) y of the samples around (n, feet, 2) feet [m]."""
+        x, y = self._offsets(feet.device)
+        return feet[..., :1, None] + x[:, None], feet[..., 1:, None] + y
 
     def reverse(self) -> list[int]:
         """For each sample, the index of its front-back mirror image."""
         return _reverse(*self._shape)
+
+    def _offsets(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        config = self._config
+        x, y = (_symmetric_range(extent, config.step, device) for extent in (config.length, config.width))
+        return x, y
 
 
 def _reverse(rows: int, columns: int) -> list[int]:
     return [(rows - 1 - i // columns) * columns + i % columns for i in range(rows * columns)]
 
 
-def _symmetric_range(extent: float, step: float) -> Tensor:
+def _symmetric_range(extent: float, step: float, device: torch.device = CPU) -> Tensor:
     count = round(extent / step)
-    return (torch.arange(count + 1) - count / 2) * step
+    return (torch.arange(count + 1, device=device) - count / 2) * step
 
 
 def look_up(rasters: Tensor, raster_ids: Tensor, points_w: Tensor) -> Tensor:

@@ -171,9 +171,8 @@ def _foot_heights(robot: Robot, config: ObservationConfig, grid: HeightGrid) -> 
     reverse = tuple((foot * samples + i, 1.0) for foot in foot_partners(robot) for i in around.reverse())
 
     def compute(state: State, command: Any) -> Tensor:
-        places = feet_in_heading(state).unsqueeze(2) + around.offsets.to(state.foot_pos_b.device)
-        below = state.heights_w.gather(1, grid.nearest(places).flatten(1))
-        return relative_heights(state, below, offset).clamp(*heights.clip)
+        points = grid.nearest(*around.around(feet_in_heading(state))).flatten(1)
+        return relative_heights(state, state.heights_w.gather(1, points), offset).clamp(*heights.clip)
 
     return ObservationTerm("foot_heights", labels, heights.scale, heights.noise, reverse, compute, _below(offset))
 
