@@ -4,6 +4,8 @@ import dataclasses
 import json
 import math
 import random
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, get_args
@@ -267,3 +269,11 @@ def test_an_integer_that_is_no_float_is_out_of_range():
     config = override(get_preset("paper"), ("ppo.gamma=1" + "0" * 400,))
     with pytest.raises(ArriveError, match=r"ppo\.gamma must be 0 to 1, not 1e\+300"):
         check_config(config)
+
+
+def test_a_saved_configuration_is_read_with_no_other_module_imported():
+    """Its task's fields must be known: a program for a robot may import nothing else."""
+    program = (
+        "from arrive.config import Config, from_dict, to_dict; assert from_dict(Config, to_dict(Config())) == Config()"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import arrive.task.registry  # noqa: F401  (a saved configuration is read by its task's fields)
 from arrive.errors import ArriveError, brief
 from arrive.field_values import from_dict, override, to_dict
 from arrive.fields import (

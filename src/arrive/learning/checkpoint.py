@@ -12,7 +12,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-import arrive.task.registry  # noqa: F401  (a saved configuration is read by its task's fields)
 from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
 from arrive.files import read_bytes, write_bytes
