@@ -235,7 +235,7 @@ def changed(config: Any, path: list[str], value: Any) -> Any:
         ("task.episode_min_s=9", ["task.episode_min_s", "at most task.episode_s, 8"]),
         ("task.rewards.stall_cost=1", ["task.rewards.stall_cost.weight", "at most 0, not", "not 1.0"]),
         ("task.stop_share=0.2", ["task.stop_share", "0 where task.retarget_s is 0"]),
-        ("ppo.mini_batches=2000000", ["ppo.mini_batches", "at most the batch of 24576"]),
+        ("ppo.mini_batches=2000000", ["ppo.mini_batches", "at most the batch of 12288"]),
         ("ppo.hidden=[]", ["ppo.hidden", "at least one"]),
         ("physics.contact_time_s=0.001", ["physics.contact_time_s", "at least 2 physics steps"]),
         ("observation.heights.clip=[0.1,1]", ["observation.heights.clip", "the first below 0"]),

@@ -62,7 +62,7 @@ def robust() -> Config:
             ),
         ),
         ppo=PPOConfig(
-            num_steps=24,
+            num_steps=12,
             gamma=0.995,
             desired_kl=0.02,
             init_std=0.5,
