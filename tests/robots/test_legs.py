@@ -10,6 +10,7 @@ import torch
 from arrive.errors import ArriveError
 from arrive.kinematics import FootKinematics
 from arrive.robots import ROBOTS
+from arrive.robots.check import check_model
 from arrive.robots.legs import foot_chains, foot_partners
 from arrive.robots.robot import Robot
 from hexapod import HEXAPOD
@@ -75,10 +76,35 @@ def test_feet_and_their_front_back_images():
     assert foot_partners(ROBOTS["go2"]) == (0, 1, 2, 3)
 
 
-def test_a_reflection_that_tears_legs_apart_is_refused():
-    torn = {"LF_KNEE": ("RH_KNEE", 1.0), "RH_KNEE": ("LF_KNEE", 1.0), "LH_KNEE": ("RF_KNEE", 1.0),
-            "RF_KNEE": ("LH_KNEE", 1.0)}  # fmt: skip
-    pairs = dict(zip(HEXAPOD.joint_names, HEXAPOD.joint_reverse, strict=True)) | torn
-    robot = replace(HEXAPOD, joint_reverse=tuple(pairs[name] for name in HEXAPOD.joint_names))
-    with pytest.raises(ArriveError, match="joint_reverse must take all joints of a leg"):
-        foot_partners(robot)
+def torn() -> Robot:
+    """Its reflection exchanges two knees alone."""
+    knees = {"LF_KNEE": ("RH_KNEE", 1.0), "RH_KNEE": ("LF_KNEE", 1.0), "LH_KNEE": ("RF_KNEE", 1.0),
+             "RF_KNEE": ("LH_KNEE", 1.0)}  # fmt: skip
+    pairs = dict(zip(HEXAPOD.joint_names, HEXAPOD.joint_reverse, strict=True)) | knees
+    return replace(HEXAPOD, joint_reverse=tuple(pairs[name] for name in HEXAPOD.joint_names))
+
+
+def with_a_foot_on(body: str) -> Robot:
+    """One foot where no joint moves it."""
+
+    def build(visuals: bool) -> mujoco.MjSpec:
+        spec = HEXAPOD.build_spec(visuals)
+        parent = spec.worldbody.add_body(name="rock") if body == "rock" else spec.body(body)
+        parent.add_site(name="STONE")
+        return spec
+
+    return replace(HEXAPOD, foot_sites=("STONE", *HEXAPOD.foot_sites[1:]), build_spec=build)
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (torn(), "joint_reverse must take all joints of a leg to those of one other leg"),
+        (with_a_foot_on(HEXAPOD.base_body), "no joint moves the foot 'STONE' relative to"),
+        (with_a_foot_on("rock"), "no joint moves the foot 'STONE' relative to"),
+    ],
+    ids=["torn legs", "a foot on the base", "a foot on a rock"],
+)
+def test_robots_with_impossible_legs_are_refused(robot, message):
+    with pytest.raises(ArriveError, match=message):
+        check_model(robot)

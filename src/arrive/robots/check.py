@@ -3,6 +3,7 @@
 import mujoco
 
 from arrive.errors import ArriveError, unknown_name
+from arrive.robots.legs import foot_chains, foot_partners
 from arrive.robots.robot import Robot
 
 
@@ -10,8 +11,8 @@ def check_model(robot: Robot) -> None:
     """Compile a robot alone and compare it with what `Robot` says of it.
 
     Raises:
-        ArriveError: it does not compile, or a name, the order of joints, a mass, a range or a geom is not as it must
-            be; the message names the first.
+        ArriveError: it does not compile, or a name, the order of joints, a mass, a range, a geom or a leg is not as it
+            must be; the message names the first.
     """
     _compiled(robot, True)  # what only pictures need fails now too, and not after a training
     model = _compiled(robot, False)
@@ -19,6 +20,8 @@ def check_model(robot: Robot) -> None:
     problem = _problem(robot, model)
     if problem:
         raise ArriveError(f"robot {robot.name!r}: {problem}")
+    foot_chains(robot)
+    foot_partners(robot)
 
 
 def _compiled(robot: Robot, visuals: bool) -> mujoco.MjModel:

@@ -12,7 +12,11 @@ DIGITS = 9
 
 
 def foot_chains(robot: Robot) -> tuple[FootChain, ...]:
-    """The chain of hinges from the base to each foot site, in the order of `robot.foot_sites`."""
+    """The chain of hinges from the base to each foot site, in the order of `robot.foot_sites`.
+
+    Raises:
+        ArriveError: no joint lies between the base and a foot, or it is not on the robot.
+    """
     return tuple(_chain(robot, site) for site in robot.foot_sites)
 
 
@@ -39,9 +43,11 @@ def _chain(robot: Robot, site: str) -> FootChain:
     model = robot.model
     body = int(model.site_bodyid[model.site(site).id])
     bodies = []
-    while model.body(body).name != robot.base_body:
+    while body and model.body(body).name != robot.base_body:
         bodies.append(body)
         body = int(model.body_parentid[body])
+    if not body or not model.body_jntnum[bodies].sum():
+        raise ArriveError(f"robot {robot.name!r}: no joint moves the foot {site!r} relative to {robot.base_body!r}")
     links, pos, turn = [], np.zeros(3), np.eye(3)
     for body in reversed(bodies):
         pos, turn = pos + turn @ model.body_pos[body], turn @ _matrix(model.body_quat[body])
