@@ -365,8 +365,9 @@ class TestMeasurement:
 
 @pytest.fixture(scope="module")
 def page(runs):
-    """A report of three runs, two of them measured; the pictures, tested elsewhere, are blank."""
+    """A report of three runs, two of them measured; pictures and films, tested elsewhere, are blank."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluation, "film", lambda episode, path: path.touch())
         patch.setattr(evaluation, "picture_strip", lambda episode, path: Image.new("RGB", (8, 8)).save(path))
         for task in ("final", "velocity"):
             arguments = "--protocol difficulty --terrain gap --episodes 4 --levels 2 --threads 1"

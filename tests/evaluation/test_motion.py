@@ -9,6 +9,7 @@ from torch import Tensor
 
 from arrive.build import Placement, build_env
 from arrive.cli import main
+from arrive.commands import evaluation
 from arrive.config import Config, ObservationConfig, RandomisationConfig, TerrainConfig
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
@@ -115,7 +116,9 @@ def test_crossing_legs_are_measured():
     assert bool(crossed[2].isnan())
 
 
-def test_a_measured_run_gets_a_card(tmp_path):
+def test_a_measured_run_gets_a_card(tmp_path, monkeypatch):
+    # Films are tested elsewhere, and take a minute where no GPU draws them.
+    monkeypatch.setattr(evaluation, "film", lambda episode, path: path.touch())
     folder = tmp_path / "tiny"
     small = ("--set", "ppo.hidden=[8]", "ppo.num_steps=4", "terrain.variants=1", "terrain.levels=2")
     main(["train", "gap", "--iterations", "1", "--num-envs", "4", "--threads", "1", "--out", str(folder), *small])
