@@ -97,7 +97,8 @@ Vec3 to_world(const std::array<double, 4>& quat, const Vec3& v) {
   return to_base({quat[0], -quat[1], -quat[2], -quat[3]}, v);
 }
 
-// A foot in the base frame: from its last link back to the base, turning about one joint after the other.
+// A foot in the base frame: from where it is with all joint positions 0, turned about one joint after the other, the
+// last of the leg first.
 Vec3 foot_in_base(const Policy& policy, const Json& foot, const Vector& joint_pos) {
   const auto names = policy.robot.at("joint_names").get<std::vector<std::string>>();
   const auto& links = foot.at("links");
@@ -105,12 +106,10 @@ Vec3 foot_in_base(const Policy& policy, const Json& foot, const Vector& joint_po
   for (auto link = links.rbegin(); link != links.rend(); ++link) {
     const auto joint = std::find(names.begin(), names.end(), link->at("joint").get<std::string>()) - names.begin();
     const double sin = std::sin(joint_pos.at(joint) / 2), cos = std::cos(joint_pos.at(joint) / 2);
-    const Vec3 axis = link->at("axis");
-    const Vec3 turned = to_world({cos, sin * axis[0], sin * axis[1], sin * axis[2]}, place);
-    const auto rotation = link->at("rotation").get<std::array<Vec3, 3>>();
-    place = link->at("pos_m");
-    for (size_t i = 0; i < 3; ++i)
-      for (size_t j = 0; j < 3; ++j) place[i] += rotation[i][j] * turned[j];
+    const Vec3 axis = link->at("axis"), pos = link->at("pos_m");
+    for (size_t i = 0; i < 3; ++i) place[i] -= pos[i];
+    place = to_world({cos, sin * axis[0], sin * axis[1], sin * axis[2]}, place);
+    for (size_t i = 0; i < 3; ++i) place[i] += pos[i];
   }
   return place;
 }

@@ -9,31 +9,29 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Link:
-    """A hinge joint on the way from the base to a foot. Its frame moves with it."""
+    """A hinge joint on the way from the base to a foot, in the base frame, with all joint positions 0."""
 
     joint: str
     pos_m: Sequence[float]
-    """(3,) of the joint in the frame of the link before it, for the first one in the base frame."""
-    rotation: Sequence[Sequence[float]]
-    """(3, 3) matrix that rotates from this frame to the one before it, at joint position 0."""
+    """(3,) a point on its axis [m]."""
     axis: Sequence[float]
-    """(3,) the joint's axis in this frame, a unit vector."""
+    """(3,) unit vector."""
 
 
 @dataclass(frozen=True)
 class FootChain:
-    """All joints from the base to a foot."""
+    """All joints from the base to a foot, and where it is with all joint positions 0."""
 
     links: Sequence[Link]
     foot_m: Sequence[float]
-    """(3,) the foot in the frame of the last link."""
+    """(3,) in the base frame."""
 
 
 class FootKinematics:
     """Positions of all feet. Its tables have one row per joint of the longest leg, counted from the base.
 
-    A shorter leg ends with links that do not move. Rotation by a joint is `fixed + sin * cross + (1 - cos) * square`
-    (Rodrigues), where each is (links, feet, 3, 3).
+    A joint moves a point that is `arm` away from it by `(sin * cross + (1 - cos) * square) @ arm` (Rodrigues). Both
+    matrices are 0 for the links that a shorter leg lacks.
     """
 
     def __init__(
@@ -51,17 +49,14 @@ class FootKinematics:
         """
         depth, feet = max(len(chain.links) for chain in chains), len(chains)
         joint, pos = np.zeros((depth, feet), dtype=int), np.zeros((depth, feet, 3))
-        fixed = np.tile(np.eye(3), (depth, feet, 1, 1))
-        cross, square = np.zeros_like(fixed), np.zeros_like(fixed)
+        cross = np.zeros((depth, feet, 3, 3))
         for foot, chain in enumerate(chains):
             for k, link in enumerate(chain.links):
-                turn, (x, y, z) = np.array(link.rotation), link.axis
-                across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-                joint[k, foot] = joint_names.index(link.joint)
-                pos[k, foot], fixed[k, foot] = link.pos_m, turn
-                cross[k, foot], square[k, foot] = turn @ across, turn @ across @ across
+                x, y, z = link.axis
+                joint[k, foot], pos[k, foot] = joint_names.index(link.joint), link.pos_m
+                cross[k, foot] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
         self._joint = joint.tolist()
-        self._pos, self._fixed, self._cross, self._square = map(to_array, (pos, fixed, cross, square))
+        self._pos, self._cross, self._square = map(to_array, (pos, cross, cross @ cross))
         self._foot = to_array(np.array([chain.foot_m for chain in chains]))
 
     def positions_b(self, sin: Any, cos: Any) -> Any:
@@ -73,6 +68,6 @@ class FootKinematics:
         place = self._foot
         for k in reversed(range(len(self._joint))):
             s, c = (part[:, self._joint[k]][..., None, None] for part in (sin, cos))
-            turn = self._fixed[k] + s * self._cross[k] + (1.0 - c) * self._square[k]
-            place = self._pos[k] + (turn @ place[..., None])[..., 0]
+            arm = (place - self._pos[k])[..., None]
+            place = place + ((s * self._cross[k] + (1.0 - c) * self._square[k]) @ arm)[..., 0]
         return place

@@ -231,8 +231,7 @@ HOSTILE = {
     "a joint twice": (put("robot", "feet", 1, "links", 0, "joint", "LH_HFE"), "1 to 20 different"),
     "a leg in mm": (put("robot", "feet", 1, "links", 2, "pos_m", [0.0, 0.1, -285.0]), "LH_KFE: pos_m"),
     "a long axis": (put("robot", "feet", 0, "links", 0, "axis", [1.0, 1.0, 0.0]), "not of length 1"),
-    "a stretch": (put("robot", "feet", 0, "links", 0, "rotation", 0, [2.0, 0.0, 0.0]), "not a rotation"),
-    "a line of a matrix": (put("robot", "feet", 0, "links", 0, "rotation", [[1.0, 0.0, 0.0]]), "not a rotation"),
+    "an axis in a plane": (put("robot", "feet", 0, "links", 0, "axis", [1.0, 0.0]), "axis is not a list of 3 numbers"),
     "a foot without a place": (edit("robot", lambda robot: robot["feet"][0].pop("foot_m")), "damaged"),
     "golden zeros": (
         edit("golden", lambda golden: golden.update({x: (0 * np.array(golden[x])).tolist() for x in GOLDEN})),
@@ -395,8 +394,8 @@ def test_labels_of_cells_may_be_rounded_but_not_moved(exported, tmp_path):
                               (label.strip("()").split(",") for label in terms[-1]["labels"])]  # fmt: skip
 
     verify(changed(exported, tmp_path, edit("observation", rounded), sealed=True))
-    moved = put("observation", 8, "labels", 3, "(5.0, 5.0)")
-    with pytest.raises(ArriveError, match=r"observation\[8\].labels\[3\] is '\(5.0, 5.0\)', not"):
+    moved = put("observation", 9, "labels", 3, "(5.0, 5.0)")
+    with pytest.raises(ArriveError, match=r"observation\[9\].labels\[3\] is '\(5.0, 5.0\)', not"):
         verify(changed(exported, tmp_path, moved, sealed=True))
 
 

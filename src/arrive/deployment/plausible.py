@@ -17,8 +17,8 @@ LONGEST_TEXT = 200
 """Longest name, unit or label [characters]."""
 SAME_M = 1e-4
 """Tolerance for the positions of grid points."""
-SAME_TURN = 1e-6
-"""Tolerance for squared lengths of directions."""
+SAME_AXIS = 1e-6
+"""Tolerance for the squared length of a joint's axis."""
 MOST_LINKS = 20
 """Most joints from the base to a foot."""
 LEAST_GOLDEN = 1e-3
@@ -64,11 +64,17 @@ def numbers(name: str, values: Any, size: int) -> list[float]:
     return [number(f"{name}[{i}]", value) for i, value in enumerate(values)]
 
 
-def lengths(name: str, values: Any, size: int) -> list[float]:
-    """The values, if they are `size` numbers that fit a robot's size [m]."""
-    if max(abs(value) for value in numbers(name, values, size)) > LARGEST_LENGTH_M:
-        raise Implausible(f"{name} is {values!r}, farther than {LARGEST_LENGTH_M:g} m")
-    return values
+def length(name: str, value: Any) -> float:
+    """The value, if it is a number that fits a robot's size [m]."""
+    if abs(number(name, value)) > LARGEST_LENGTH_M:
+        raise Implausible(f"{name} is {value!r}, farther than {LARGEST_LENGTH_M:g} m")
+    return float(value)
+
+
+def check_place(name: str, values: Any, size: int) -> None:
+    """Check that the values are a list of `size` lengths."""
+    for i, value in enumerate(numbers(name, values, size)):
+        length(f"{name}[{i}]", value)
 
 
 def ascending(name: str, values: Any) -> tuple[float, float]:
@@ -120,8 +126,7 @@ def check_grid(grid: GridSpec) -> None:
     low, high = ascending("heights.clip_m", grid.clip_m)
     if not -LARGEST_LENGTH_M <= low < 0.0 < high <= LARGEST_LENGTH_M:
         raise Implausible(f"heights.clip_m is {grid.clip_m!r}, not a depth above and one below")
-    if abs(number("heights.offset_m", grid.offset_m)) > LARGEST_LENGTH_M:
-        raise Implausible(f"heights.offset_m is {grid.offset_m!r}")
+    length("heights.offset_m", grid.offset_m)
     if not isinstance(grid.points_m, list) or not grid.points_m:
         raise Implausible("heights.points_m is not a list of points")
     points = np.array([numbers(f"heights.points_m[{i}]", point, 2) for i, point in enumerate(grid.points_m)])
@@ -143,14 +148,14 @@ def _is_grid(points: np.ndarray, low: np.ndarray, step: float, nx: int, ny: int)
 
 
 def check_feet(robot: RobotSpec, grid: GridSpec) -> None:
-    """Check that the chains from the base to the feet are made of the robot's joints, lengths and rotations."""
+    """Check that the chains from the base to the feet are made of the robot's joints, places and axes."""
     if bool(robot.feet) != bool(grid.foot_points_m):
         raise Implausible("robot.feet and heights.foot_points_m must both be given or both be absent")
     for i, place in enumerate(grid.foot_points_m):
-        lengths(f"heights.foot_points_m[{i}]", place, 2)
+        check_place(f"heights.foot_points_m[{i}]", place, 2)
     for i, chain in enumerate(robot.feet):
         name = f"robot.feet[{i}]"
-        lengths(f"{name}.foot_m", chain.foot_m, 3)
+        check_place(f"{name}.foot_m", chain.foot_m, 3)
         joints = [link.joint for link in chain.links]
         if (
             not 0 < len(joints) <= MOST_LINKS
@@ -160,13 +165,10 @@ def check_feet(robot: RobotSpec, grid: GridSpec) -> None:
             raise Implausible(f"{name} has the joints {joints}, not 1 to {MOST_LINKS} different ones of the robot")
         for link in chain.links:
             where = f"{name}, {link.joint}:"
-            lengths(f"{where} pos_m", link.pos_m, 3)
+            check_place(f"{where} pos_m", link.pos_m, 3)
             axis = np.array(numbers(f"{where} axis", link.axis, 3))
-            rotation = np.array([numbers(f"{where} rotation", row, 3) for row in link.rotation])
-            if abs(axis @ axis - 1.0) > SAME_TURN:
+            if abs(axis @ axis - 1.0) > SAME_AXIS:
                 raise Implausible(f"{where} axis is {link.axis}, not of length 1")
-            if rotation.shape != (3, 3) or np.abs(rotation @ rotation.T - np.eye(3)).max() > SAME_TURN:
-                raise Implausible(f"{where} rotation is not a rotation matrix")
 
 
 def check_task(task: TaskSpec) -> None:
@@ -175,8 +177,7 @@ def check_task(task: TaskSpec) -> None:
     positive("task.episode_s", task.episode_s)
     positive("task.reward_window_s", task.reward_window_s, task.episode_s)
     positive("task.arrival_radius_m", task.arrival_radius_m)
-    if abs(number("task.target_height_m", task.target_height_m)) > LARGEST_LENGTH_M:
-        raise Implausible(f"task.target_height_m is {task.target_height_m!r}")
+    length("task.target_height_m", task.target_height_m)
     near, far = numbers("task.target_distance_m", task.target_distance_m, 2)
     if not 0.0 <= near <= far or far == 0.0:
         raise Implausible(f"task.target_distance_m is {task.target_distance_m!r}, not a range of distances")

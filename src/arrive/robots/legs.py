@@ -39,37 +39,21 @@ def foot_partners(robot: Robot) -> tuple[int, ...]:
 
 
 def _chain(robot: Robot, site: str) -> FootChain:
-    """Fixed bodies between two joints become a part of the second one's link."""
     model = robot.model
     body = int(model.site_bodyid[model.site(site).id])
-    bodies = []
+    joints: list[int] = []
     while body and model.body(body).name != robot.base_body:
-        bodies.append(body)
+        first = model.body_jntadr[body]
+        joints = [*range(first, first + model.body_jntnum[body]), *joints]
         body = int(model.body_parentid[body])
-    if not body or not model.body_jntnum[bodies].sum():
+    if not body or not joints:
         raise ArriveError(f"robot {robot.name!r}: no joint moves the foot {site!r} relative to {robot.base_body!r}")
-    links, pos, turn = [], np.zeros(3), np.eye(3)
-    for body in reversed(bodies):
-        pos, turn = pos + turn @ model.body_pos[body], turn @ _matrix(model.body_quat[body])
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            anchor, axis = model.jnt_pos[joint], model.jnt_axis[joint]
-            pos = pos + turn @ anchor
-            turn = turn @ _about(axis, -model.qpos0[model.jnt_qposadr[joint]])
-            links.append(Link(model.joint(joint).name, _rounded(pos), [_rounded(row) for row in turn], _rounded(axis)))
-            pos, turn = -anchor, np.eye(3)
-    return FootChain(links, _rounded(pos + turn @ model.site(site).pos))
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, quat)
-    return flat.reshape(3, 3)
-
-
-def _about(axis: np.ndarray, angle: float) -> np.ndarray:
-    quat = np.empty(4)
-    mujoco.mju_axisAngle2Quat(quat, axis, angle)
-    return _matrix(quat)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    data.qpos[3] = 1.0  # the base at the world's origin, not turned
+    mujoco.mj_kinematics(model, data)
+    links = [Link(model.joint(i).name, _rounded(data.xanchor[i]), _rounded(data.xaxis[i])) for i in joints]
+    return FootChain(links, _rounded(data.site(site).xpos))
 
 
 def _rounded(vector: np.ndarray) -> list[float]:
