@@ -6,13 +6,16 @@ Values of the task (distances, episode lengths, arrival radius) are not scaled.
 """
 
 from dataclasses import replace
+from typing import TypeVar
 
 from arrive.config import Config, fewest_steps
 from arrive.fields import Interval
 from arrive.robots.robot import Robot
 from arrive.task.final import PositionConfig
+from arrive.task.heights import FootHeightsConfig, HeightsConfig
 from arrive.task.rewards import Cost
 
+Grid = TypeVar("Grid", HeightsConfig, FootHeightsConfig)
 WIDEST_DEFAULT_RAD = 0.8
 """Largest joint angle of ANYmal C's default pose [rad]."""
 DIGITS = 4
@@ -23,7 +26,7 @@ def for_robot(config: Config, robot: Robot) -> Config:
     """The configuration for this robot, with values scaled to its size and mass. For ANYmal C nothing changes."""
     size, mass = robot.size, robot.mass_share
     observation, random, task = config.observation, config.randomisation, config.task
-    heights, feet, rewards = observation.heights, observation.foot_heights, task.rewards
+    heights, rewards = observation.heights, task.rewards
     weight_factors = {"torque_cost": (mass * size) ** -2, "joint_acc_cost": size**2}
     terms = {name: Cost(_scaled(getattr(rewards, name).weight, factor)) for name, factor in weight_factors.items()}
     if hasattr(rewards, "stall_cost"):
@@ -38,20 +41,12 @@ def for_robot(config: Config, robot: Robot) -> Config:
         robot=robot.name,
         observation=replace(
             observation,
-            foot_heights=replace(
-                feet,
-                length=_scaled(feet.length, size),
-                width=_scaled(feet.width, size),
-                step=_scaled(feet.step, size),
-            ),
+            foot_heights=_resized(observation.foot_heights, size),
             heights=replace(
-                heights,
+                _resized(heights, size),
                 noise=_scaled(heights.noise, size),
                 scale=_scaled(heights.scale, 1.0 / size),
                 clip=_scaled_pair(heights.clip, size),
-                length=_scaled(heights.length, size),
-                width=_scaled(heights.width, size),
-                step=_scaled(heights.step, size),
             ),
         ),
         randomisation=replace(
@@ -70,6 +65,12 @@ def _steps(config: Config, robot: Robot) -> int:
     """The schedule's physics steps per policy step, and more if the robot's joint limits need shorter ones."""
     wanted = config.schedule.decimation
     return max(wanted, fewest_steps(robot, config.physics.control_dt)) if wanted else 0
+
+
+def _resized(grid: Grid, size: float) -> Grid:
+    """With the extents and the step of a larger or smaller robot."""
+    length, width, step = (_scaled(extent, size) for extent in (grid.length, grid.width, grid.step))
+    return replace(grid, length=length, width=width, step=step)
 
 
 def _scaled_pair(pair: Interval, factor: float) -> Interval:
