@@ -55,18 +55,23 @@ def test_tilt_turns_gravity_and_nothing_else():
     torch.testing.assert_close(with_measured_gravity(quat, down, down), quat)
 
 
-def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeypatch):
-    config = override(policy.config, ("num_envs=6", 'terrain.families=["stairs"]', "terrain.variants=2"))
-    everyone = torch.arange(6)
-    env = build_env(config, Placement(assignment=(0 * everyone, 0 * everyone + 3)), threads=1)
-    robots, seen = ControlledRobots(env, file), []
-    attempt = Controller._attempt
+def observed(monkeypatch) -> list[np.ndarray]:
+    """A list to which every controller adds what it observes."""
+    seen, attempt = [], Controller._attempt
 
     def spy(controller, frame):
         seen.append(controller.observe(frame)[0])
         return attempt(controller, frame)
 
     monkeypatch.setattr(Controller, "_attempt", spy)
+    return seen
+
+
+def test_each_controller_sees_its_robots_noisy_observation(policy, file, monkeypatch):
+    config = override(policy.config, ("num_envs=6", 'terrain.families=["stairs"]', "terrain.variants=2"))
+    everyone = torch.arange(6)
+    env = build_env(config, Placement(assignment=(0 * everyone, 0 * everyone + 3)), threads=1)
+    robots, seen = ControlledRobots(env, file), observed(monkeypatch)
     observation = env.get_observations()[POLICY]
     compared = 0
     for _ in range(50):
@@ -107,14 +112,7 @@ def test_controllers_observe_the_ground_around_their_feet(tmp_path, monkeypatch)
     qpos[:, 7:] = torch.tensor(env.robot.default_joint_pos)
     env.physics.reset(torch.arange(8), qpos.double(), qvel.double())
     env.load_state_dict(env.state_dict())
-    seen, attempt = [], Controller._attempt
-
-    def spy(controller, frame):
-        seen.append(controller.observe(frame)[0])
-        return attempt(controller, frame)
-
-    monkeypatch.setattr(Controller, "_attempt", spy)
-    observation, generator = env.get_observations()[POLICY], torch.Generator()
+    seen, observation, generator = observed(monkeypatch), env.get_observations()[POLICY], torch.Generator()
     ControlledRobots(env, file).act(observation)
     clean = Observer(env.observer.terms, False, env.device).observe(env.state, env.task.command, generator)
     mine = torch.from_numpy(np.stack(seen)).float()
