@@ -191,6 +191,12 @@ class TestLogs:
         np.savez(path, **{name: array[:0] for name, array in arrays.items()})
         with pytest.raises(ArriveError, match="its columns are empty"):
             read_logs([path], PERIOD)
+        np.savez(path, **arrays)
+        whole = path.read_bytes()
+        read_logs([path], PERIOD)
+        path.write_bytes(whole + b"\0" * 10)
+        with pytest.raises(ArriveError, match="bytes follow the end"):
+            read_logs([path], PERIOD)
         path.write_bytes(b"PK nothing")
         with pytest.raises(ArriveError, match="cannot read"):
             read_logs([path], PERIOD)

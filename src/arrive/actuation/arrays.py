@@ -1,5 +1,6 @@
 """Arrays from NPZ files of others."""
 
+import os
 import zipfile
 from pathlib import Path
 
@@ -8,6 +9,11 @@ import numpy as np
 from arrive.errors import ArriveError
 from arrive.files import check_readable
 from arrive.room import check_room
+
+END = b"PK\5\6"
+"""A zip file's last record begins with this (APPNOTE.TXT, section 4.3.16)."""
+END_BYTES = 22
+"""Size of that record without its comment, which ends the file [bytes]."""
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -20,9 +26,14 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
+            end = END_BYTES + len(archive.comment)
+        with path.open("rb") as file:
+            file.seek(-end, os.SEEK_END)
+            if file.read(len(END)) != END:
+                raise zipfile.BadZipFile("bytes follow the end of the archive")
         check_room(size, 2, "bytes of arrays", f"other arrays than those of {path}")
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        with np.load(path, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
     except ArriveError:
         raise
     except Exception as error:  # whatever foreign bytes make zipfile and numpy raise

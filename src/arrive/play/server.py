@@ -35,8 +35,10 @@ def open_server(host: str, port: int) -> tuple[viser.ViserServer, Door]:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.create_server((host, port), family=family):
             pass
-    except (OSError, OverflowError, UnicodeError) as error:
-        raise ArriveError(f"cannot listen on {host} port {port}: {error}. Choose another with --port.") from error
+    except (OSError, OverflowError, TypeError, UnicodeError) as error:  # TypeError: of names that cannot be encoded
+        raise ArriveError(
+            f"cannot listen on {host!r} port {port}: {error}. Choose another with --host or --port."
+        ) from error
     guard = Guard()
     # viser warns when a browser leaves while it is being sent something.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
