@@ -235,6 +235,10 @@ def changed(config: Any, path: list[str], value: Any) -> Any:
         ("task.episode_min_s=9", ["task.episode_min_s", "at most task.episode_s, 8"]),
         ("task.rewards.stall_cost=1", ["task.rewards.stall_cost.weight", "at most 0, not", "not 1.0"]),
         ("task.stop_share=0.2", ["task.stop_share", "0 where task.retarget_s is 0"]),
+        (
+            "task.rewards.approach.max_speed=0.5",
+            ["task.rewards.approach.max_speed", "0, or at least task.rewards.approach.speed, 1"],
+        ),
         ("ppo.mini_batches=2000000", ["ppo.mini_batches", "at most the batch of 12288"]),
         ("ppo.hidden=[]", ["ppo.hidden", "at least one"]),
         ("physics.contact_time_s=0.001", ["physics.contact_time_s", "at least 2 physics steps"]),

@@ -134,6 +134,25 @@ def test_approach_reward_is_the_speed_towards_the_target_up_to_a_limit(velocity,
 
 
 @pytest.mark.parametrize(
+    ("velocity", "max_speed", "expected"),
+    [
+        (1.5, 1.5, 1.0),
+        (1.8, 1.5, 0.7),  # 0.3 m/s too fast, of 1 m/s
+        (2.5, 1.5, 0.0),
+        (9.0, 1.5, 0.0),  # never below standing still
+        (9.0, 0.0, 1.0),  # no limit
+        (0.5, 1.5, 0.5),
+        (-9.0, 1.5, -1.0),
+    ],
+)
+def test_approach_reward_falls_above_the_speed_that_is_enough(velocity, max_speed, expected):
+    state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=(velocity, 0.0, 0.0))
+    config = replace(CONFIG, rewards=PositionRewards(approach=Approach(max_speed=max_speed)))
+    assert value_of("approach", state, a_command((3.0, 0.0, 0.0)), config) == pytest.approx(expected)
+    assert value_of("approach", state, a_command((0.3, 0.0, 0.0)), config) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
     "change", [{"rewards": PositionRewards(approach=Approach(radius=0.25))}, {"arrival_radius": 0.25}], ids=str
 )
 def test_approach_reward_is_full_within_the_smaller_of_two_radii(change):

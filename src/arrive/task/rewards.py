@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from arrive.errors import ArriveError
-from arrive.fields import NotNegative, NotPositive, Positive, Share
+from arrive.fields import NotNegative, NotPositive, Positive, Rule, Share
 from arrive.task.rotation import yaw_of
 from arrive.task.state import Command, State
 
@@ -57,6 +57,8 @@ class Approach(Reward):
 
     speed: Positive = 1.0
     """Speed towards the target at which it saturates [m/s]."""
+    max_speed: NotNegative = 0.0
+    """Above this speed towards the target the reward falls as steeply as it rose, down to 0; 0 for no limit [m/s]."""
     radius: Positive = 0.5
     """The reward is 1 when the robot is closer to the target than both this and the arrival radius [m]. With the
     arrival radius alone, robots may learn to stop exactly there and miss it by a centimetre."""
@@ -64,6 +66,11 @@ class Approach(Reward):
     """The reward falls in proportion where the absolute cosine of the angle between the robot's x axis and the
     direction to the target is below this. With 0, the robot may turn as it likes; with 0.7, its front or rear must
     point to the target within 45 degrees."""
+
+    def rules(self) -> tuple[Rule, ...]:
+        """Conditions between fields."""
+        least = f"0, or at least task.rewards.approach.speed, {self.speed:g}"
+        return (Rule("max_speed", least, self.max_speed == 0.0 or self.max_speed >= self.speed),)
 
 
 @dataclass(frozen=True)
@@ -159,18 +166,28 @@ def _alignment(state: State, command: Command) -> Tensor:
 
 
 def approach(
-    state: State, command: Command, *, speed: float, radius: float, facing: float, arrival_radius: float
+    state: State,
+    command: Command,
+    *,
+    speed: float,
+    max_speed: float,
+    radius: float,
+    facing: float,
+    arrival_radius: float,
 ) -> Tensor:
     """Speed towards the target, up to `speed`; 1 within `radius`. Not in the paper.
 
     Unlike the cosine of eq. 3 it grows with speed, so that shuffling earns less than walking. If the arrival radius is
-    smaller than `radius`, the arrival radius is used. With `facing`, robots meet obstacles head-on.
+    smaller than `radius`, the arrival radius is used. With `max_speed`, robots with time to spare do not run. With
+    `facing`, they meet obstacles head-on.
 
     Returns:
         (n,) speed as a share of `speed`, -1 to 1.
     """
     closing, distance = _closing(state, command)
     share = (closing / speed).clamp(-1.0, 1.0)
+    if max_speed:
+        share = torch.minimum(share, (1.0 - (closing - max_speed) / speed).clamp(min=0.0))
     if facing:
         share = share * (_alignment(state, command) / facing).clamp(max=1.0)
     return torch.where(distance < min(radius, arrival_radius), torch.ones_like(share), share)
