@@ -56,7 +56,7 @@ def robust() -> Config:
             rewards=replace(
                 PAPER_REWARDS,
                 exploration=Reward(),
-                approach=Approach(2.0, max_speed=1.5, radius=0.2, facing=1.0),
+                approach=Approach(2.0, max_speed=1.5, braking=0.6, radius=0.2, facing=1.0),
                 stand=Reward(10.0),
                 crash_cost=Cost(-2.0),
             ),

@@ -153,6 +153,24 @@ def test_approach_reward_falls_above_the_speed_that_is_enough(velocity, max_spee
 
 
 @pytest.mark.parametrize(
+    ("distance", "velocity", "expected"),
+    [
+        (3.0, 0.8, 0.8),  # far away, as without
+        (3.0, 1.7, 0.8),  # 0.2 m/s above the limit of 1.5 m/s
+        (0.8, 0.8, 1.0),  # 0.8 m/s is enough at 0.8 m
+        (0.8, 0.4, 0.5),
+        (0.8, -0.4, -0.5),
+        (0.8, 1.2, 1.0),  # the limit there
+        (0.8, 1.5, 0.7),
+    ],
+)
+def test_approach_reward_asks_for_less_speed_near_the_target(distance, velocity, expected):
+    state = a_state(base_pos_w=(0.0, 0.0, 0.0), base_lin_vel_w=(velocity, 0.0, 0.0))
+    config = replace(CONFIG, rewards=PositionRewards(approach=Approach(max_speed=1.5, braking=1.0)))
+    assert value_of("approach", state, a_command((distance, 0.0, 0.0)), config) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
     "change", [{"rewards": PositionRewards(approach=Approach(radius=0.25))}, {"arrival_radius": 0.25}], ids=str
 )
 def test_approach_reward_is_full_within_the_smaller_of_two_radii(change):

@@ -59,6 +59,9 @@ class Approach(Reward):
     """Speed towards the target at which it saturates [m/s]."""
     max_speed: NotNegative = 0.0
     """Above this speed towards the target the reward falls as steeply as it rose, down to 0; 0 for no limit [m/s]."""
+    braking: NotNegative = 0.0
+    """Within this distance of the target, `speed` and `max_speed` fall in proportion to the distance; 0 for never
+    [m]."""
     radius: Positive = 0.5
     """The reward is 1 when the robot is closer to the target than both this and the arrival radius [m]. With the
     arrival radius alone, robots may learn to stop exactly there and miss it by a centimetre."""
@@ -171,6 +174,7 @@ def approach(
     *,
     speed: float,
     max_speed: float,
+    braking: float,
     radius: float,
     facing: float,
     arrival_radius: float,
@@ -179,15 +183,16 @@ def approach(
 
     Unlike the cosine of eq. 3 it grows with speed, so that shuffling earns less than walking. If the arrival radius is
     smaller than `radius`, the arrival radius is used. With `max_speed`, robots with time to spare do not run. With
-    `facing`, they meet obstacles head-on.
+    `braking`, they slow down before they arrive. With `facing`, they meet obstacles head-on.
 
     Returns:
         (n,) speed as a share of `speed`, -1 to 1.
     """
     closing, distance = _closing(state, command)
-    share = (closing / speed).clamp(-1.0, 1.0)
+    nearness = (distance / braking).clamp(min=0.1, max=1.0) if braking else torch.ones_like(distance)
+    share = (closing / (speed * nearness)).clamp(-1.0, 1.0)
     if max_speed:
-        share = torch.minimum(share, (1.0 - (closing - max_speed) / speed).clamp(min=0.0))
+        share = torch.minimum(share, (1.0 - (closing - max_speed * nearness) / speed).clamp(min=0.0))
     if facing:
         share = share * (_alignment(state, command) / facing).clamp(max=1.0)
     return torch.where(distance < min(radius, arrival_radius), torch.ones_like(share), share)
