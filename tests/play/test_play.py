@@ -683,7 +683,8 @@ def test_list_shows_the_solved_values_of_shipped_policies(capsys, monkeypatch):
     assert set(lines) == set(policies.shipped_names())
     for name, said in lines.items():
         solved = solved_beside(policies.SHIPPED / name)
-        assert "anymal_c, trained on" in said
+        robot = json.loads((policies.SHIPPED / name / "config.json").read_text())["config"]["robot"]
+        assert f"{robot}, trained on" in said
         assert all(f"{family} {value:.3g}" in said for family, value in solved.items())
         assert ("not evaluated" in said) == (not (policies.SHIPPED / name / "difficulty.json").exists())
 
