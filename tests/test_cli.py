@@ -102,7 +102,7 @@ def test_an_unknown_name_lists_the_valid_ones(refused, arguments, valid):
         (["train", "flat", "--resume", "."], [".", "not a run folder", "config.json"]),
         (["train", "flat", "--resume", "no/such/folder"], ["no/such/folder", "not a run folder"]),
         (["train", "flat", "--num-envs", "4", "--start-from", "nowhere"], ["there is no policy 'nowhere'"]),
-        (["eval", "nowhere"], ["there is no policy 'nowhere'", "gap, joystick"]),
+        (["eval", "nowhere"], ["there is no policy 'nowhere'", ", ".join(shipped_names())]),
         (["eval", "."], ["no file", "policy.pt"]),
     ],
 )
