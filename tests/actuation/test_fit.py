@@ -1,5 +1,6 @@
 """From a drive to a network: the simulated drive, its logs, fitting, and the responses that are drawn."""
 
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -196,6 +197,11 @@ class TestLogs:
         read_logs([path], PERIOD)
         path.write_bytes(whole + b"\0" * 10)
         with pytest.raises(ArriveError, match="bytes follow the end"):
+            read_logs([path], PERIOD)
+        path.write_bytes(whole)
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr("target", b"no array")
+        with pytest.raises(ArriveError, match="'target' is no array"):
             read_logs([path], PERIOD)
         path.write_bytes(b"PK nothing")
         with pytest.raises(ArriveError, match="cannot read"):

@@ -33,7 +33,10 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
                 raise zipfile.BadZipFile("bytes follow the end of the archive")
         check_room(size, 2, "bytes of arrays", f"other arrays than those of {path}")
         with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+            found = {name: arrays[name] for name in arrays.files}
+        if foreign := [name for name, array in found.items() if not isinstance(array, np.ndarray)]:
+            raise ValueError(f"{foreign[0]!r} is no array")
+        return found
     except ArriveError:
         raise
     except Exception as error:  # whatever foreign bytes make zipfile and numpy raise
