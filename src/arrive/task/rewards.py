@@ -25,6 +25,8 @@ STALL_DISTANCE = 0.5
 """Waiting farther from the target than this is stalling (paper, eq. 4) [m]."""
 PACES = (0.3, 1.5)
 """Slowest and fastest speed that the `pace` reward asks for [m/s]."""
+LEAST_NEARNESS = 0.1
+"""Lower bound on the share of its speeds that `approach` asks for near the target."""
 LEAST_TIME_S = 0.2
 """Lower bound on the time left in `pace` [s]."""
 CRASH_COST = "crash_cost"
@@ -189,7 +191,7 @@ def approach(
         (n,) speed as a share of `speed`, -1 to 1.
     """
     closing, distance = _closing(state, command)
-    nearness = (distance / braking).clamp(min=0.1, max=1.0) if braking else torch.ones_like(distance)
+    nearness = (distance / braking).clamp(min=LEAST_NEARNESS, max=1.0) if braking else torch.ones_like(distance)
     share = (closing / (speed * nearness)).clamp(-1.0, 1.0)
     if max_speed:
         share = torch.minimum(share, (1.0 - (closing - max_speed * nearness) / speed).clamp(min=0.0))
