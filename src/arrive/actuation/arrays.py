@@ -24,11 +24,9 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """
     check_readable(path)
     try:
-        with zipfile.ZipFile(path) as archive:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-            end = END_BYTES + len(archive.comment)
-        with path.open("rb") as file:
-            file.seek(-end, os.SEEK_END)
+            file.seek(-END_BYTES - len(archive.comment), os.SEEK_END)
             if file.read(len(END)) != END:
                 raise zipfile.BadZipFile("bytes follow the end of the archive")
         check_room(size, 2, "bytes of arrays", f"other arrays than those of {path}")

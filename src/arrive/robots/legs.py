@@ -17,7 +17,11 @@ def foot_chains(robot: Robot) -> tuple[FootChain, ...]:
     Raises:
         ArriveError: no joint lies between the base and a foot, or it is not on the robot.
     """
-    return tuple(_chain(robot, site) for site in robot.foot_sites)
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = 0.0
+    data.qpos[3] = 1.0  # the base at the world's origin, not turned
+    mujoco.mj_kinematics(robot.model, data)
+    return tuple(_chain(robot, data, site) for site in robot.foot_sites)
 
 
 def foot_partners(robot: Robot) -> tuple[int, ...]:
@@ -38,7 +42,7 @@ def foot_partners(robot: Robot) -> tuple[int, ...]:
     return tuple(legs.index(leg) for leg in reflected)
 
 
-def _chain(robot: Robot, site: str) -> FootChain:
+def _chain(robot: Robot, data: mujoco.MjData, site: str) -> FootChain:
     model = robot.model
     body = int(model.site_bodyid[model.site(site).id])
     joints: list[int] = []
@@ -48,10 +52,6 @@ def _chain(robot: Robot, site: str) -> FootChain:
         body = int(model.body_parentid[body])
     if not body or not joints:
         raise ArriveError(f"robot {robot.name!r}: no joint moves the foot {site!r} relative to {robot.base_body!r}")
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0.0
-    data.qpos[3] = 1.0  # the base at the world's origin, not turned
-    mujoco.mj_kinematics(model, data)
     links = [Link(model.joint(i).name, _rounded(data.xanchor[i]), _rounded(data.xaxis[i])) for i in joints]
     return FootChain(links, _rounded(data.site(site).xpos))
 

@@ -25,7 +25,7 @@ STALL_DISTANCE = 0.5
 """Waiting farther from the target than this is stalling (paper, eq. 4) [m]."""
 PACES = (0.3, 1.5)
 """Slowest and fastest speed that the `pace` reward asks for [m/s]."""
-LEAST_NEARNESS = 0.1
+LEAST_ASKED = 0.1
 """Lower bound on the share of its speeds that `approach` asks for near the target."""
 LEAST_TIME_S = 0.2
 """Lower bound on the time left in `pace` [s]."""
@@ -191,10 +191,10 @@ def approach(
         (n,) speed as a share of `speed`, -1 to 1.
     """
     closing, distance = _closing(state, command)
-    nearness = (distance / braking).clamp(min=LEAST_NEARNESS, max=1.0) if braking else torch.ones_like(distance)
-    share = (closing / (speed * nearness)).clamp(-1.0, 1.0)
+    asked = (distance / braking).clamp(min=LEAST_ASKED, max=1.0) if braking else torch.ones_like(distance)
+    share = (closing / (speed * asked)).clamp(-1.0, 1.0)
     if max_speed:
-        share = torch.minimum(share, (1.0 - (closing - max_speed * nearness) / speed).clamp(min=0.0))
+        share = torch.minimum(share, (1.0 - (closing - max_speed * asked) / speed).clamp(min=0.0))
     if facing:
         share = share * (_alignment(state, command) / facing).clamp(max=1.0)
     return torch.where(distance < min(radius, arrival_radius), torch.ones_like(share), share)
