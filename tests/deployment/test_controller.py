@@ -5,6 +5,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -563,6 +564,22 @@ def test_controller_runs_without_torch_and_mujoco(exported, controller):
     mode, targets = result.stdout.split(" ", 1)
     assert mode == "joystick"
     np.testing.assert_array_equal(json.loads(targets), step(controller, 0.0).targets)
+
+
+def test_the_first_step_prepares_nothing(exported, monkeypatch):
+    """Preparing takes more than half a control period, so it happens before the robot moves, and leaves no trace."""
+    counted = []
+    gravity = COMPUTED["gravity"]
+    monkeypatch.setitem(
+        COMPUTED, "gravity", replace(gravity, compute=lambda m: (counted.append(None), gravity.compute(m))[1])
+    )
+    log = ControlLog()
+    controller = Controller.load(exported, log=log)
+    assert len(counted) == 1
+    assert not log.frames
+    first = [step(controller, DT * k).targets for k in range(3)]
+    controller.reset()
+    np.testing.assert_array_equal(first, [step(controller, DT * k).targets for k in range(3)])
 
 
 def test_safety_is_adjustable(exported):

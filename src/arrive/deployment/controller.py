@@ -7,7 +7,7 @@ import numpy as np
 
 from arrive.deployment.command import JointCommand
 from arrive.deployment.faults import BadInput, Fallen
-from arrive.deployment.goals import Goal, Navigator, Order
+from arrive.deployment.goals import Goal, Joystick, Navigator, Order
 from arrive.deployment.heights import GridHeights, HeightMap, HeightSampler, PointCloud
 from arrive.deployment.inputs import Frame, Sensors, frame_of
 from arrive.deployment.log import ControlLog
@@ -44,7 +44,7 @@ class Controller:
             ArriveError: the policy needs an observation that this controller cannot provide.
         """
         check_observed_terms(policy)
-        self.policy, self.safety, self.log = policy, safety, log
+        self.policy, self.safety = policy, safety
         robot = policy.robot
         self._default = np.array(robot.default_joint_pos_rad)
         self._scale = np.concatenate([np.full(term.stop - term.start, term.scale) for term in policy.terms])
@@ -53,7 +53,9 @@ class Controller:
         self._limits = Limits(robot)
         self._navigator = Navigator(policy.task)
         self._watchdog = Watchdog(robot, len(self._grid.points), policy.period_s, safety)
-        self.reset()
+        self.log: ControlLog | None = None
+        self._rehearse()
+        self.log = log
 
     @classmethod
     def load(cls, path: Path | str, safety: Safety = DEFAULT, log: ControlLog | None = None) -> "Controller":
@@ -63,6 +65,22 @@ class Controller:
             ArriveError: see `read_policy_file`.
         """
         return cls(read_policy_file(path), safety, log)
+
+    def _rehearse(self) -> None:
+        """Take one step of a standing robot and forget it.
+
+        The first step prepares tables and takes 10 to 30 ms, more than half a control period. A robot must not wait for
+        it.
+        """
+        self.reset()
+        robot = self.policy.robot
+        none = np.zeros(3)
+        pos_w = np.array([0.0, 0.0, robot.standing_height_m])
+        standing = Sensors(
+            self._default, np.zeros(len(self._default)), pos_w, np.array([1.0, 0.0, 0.0, 0.0]), none, none, 0.0
+        )
+        self.step(standing, Joystick(forward=0.0, left=0.0), GridHeights(np.zeros(len(self._grid.points)), 0.0), 0.0)
+        self.reset()
 
     def reset(self) -> None:
         """Start again, as after switching on."""
