@@ -111,9 +111,6 @@ class ScheduleConfig:
     decimation: Annotated[int, Range(0)] = 0
     """Physics steps per policy step while the levels rise: fewer and longer ones than `physics.decimation` make
     training faster. 0 for `physics.decimation` throughout. It has no effect with `physics.motor=network`."""
-    climb_num_steps: Annotated[int, Range(0)] = 0
-    """Policy steps per iteration and robot once a gait is found; 0 for `ppo.num_steps` throughout. Small batches find a
-    gait sooner, larger ones then learn more steadily."""
     climb_std: Positive = 0.4
     """Bound on the action noise's standard deviation while the levels rise; it falls from this to `finish_std`."""
     climb_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0

@@ -78,4 +78,4 @@ def learning_bytes(config: Config) -> float:
     ppo = config.ppo
     stored = FLOAT * (observed(config) + OTHER_TERMS)
     mini_batch = FLOAT * NETWORKS * COPIES * (observed(config) + sum(ppo.hidden)) / ppo.mini_batches
-    return max(ppo.num_steps, config.schedule.climb_num_steps) * (stored + mini_batch)
+    return ppo.num_steps * (stored + mini_batch)

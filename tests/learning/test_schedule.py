@@ -60,14 +60,6 @@ def test_an_actuator_network_keeps_its_own_step():
     assert {settings_at(config, spent, 0.0).decimation for spent in (0.1, 0.9)} == {config.physics.decimation}
 
 
-def test_rollouts_are_longer_once_a_gait_is_found():
-    config = replace(CONFIG, schedule=replace(CONFIG.schedule, climb_num_steps=48))
-    few = config.ppo.num_steps
-    assert [settings_at(config, 0.1, seeking).num_steps for seeking in (1.0, 0.5, 0.0)] == [few, few, 48]
-    assert settings_at(config, 0.9, seeking=0.0).num_steps == 48
-    assert settings_at(CONFIG, 0.1, seeking=0.0).num_steps == few
-
-
 def test_with_calm_gait_there_are_no_pushes_and_new_targets_before_a_gait():
     """Until the gait is found only, and only where the preset asks for it."""
     config = joystick()

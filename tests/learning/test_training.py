@@ -263,26 +263,6 @@ def test_bootstrapping_adds_the_discounted_value_at_time_outs_alone(tmp_path, mo
     assert (storage.rewards.squeeze(-1) != rewards)[time_out].all()
 
 
-def test_longer_rollouts_begin_with_the_climb_and_resume_exactly(tmp_path):
-    settings = ("schedule.enabled=true", "schedule.climb_num_steps=20")
-
-    def trained(folder, iterations: int, trainer: Trainer | None = None) -> Trainer:
-        trainer = trainer or make_trainer(folder, *settings)
-        for _ in range(iterations):
-            trainer.iterate(lambda report: None, Budget(iterations=4))
-            trainer.env.exploration.active[:] = False
-        trainer.save()
-        return trainer
-
-    assert trained(tmp_path / "whole", 1).state.samples == NUM_ENVS * STEPS
-    assert trained(tmp_path / "whole", 3).state.samples == NUM_ENVS * (STEPS + 20 + 20)
-    trained(tmp_path / "halves", 2)
-    again = make_trainer(tmp_path / "halves", *settings)
-    again.load()
-    trained(tmp_path / "halves", 1, again)
-    assert differing(saved_state(tmp_path / "whole"), saved_state(tmp_path / "halves")) == []
-
-
 def test_all_options_together_train(tmp_path):
     train("flat,gap", tmp_path / "run", 3, "ppo.symmetry=true", "schedule.enabled=true")
     rows = log_rows(tmp_path / "run")

@@ -95,8 +95,7 @@ def bench_throughput(
             bench.round()
             progress(done + 1, rounds)
         log.close()
-    measured = {"threads": threads, "rounds": rounds, "device": str(env.device), "num_steps": trainer.num_steps}
-    return _result(bench, config, memory) | measured
+    return _result(bench, config, memory) | {"threads": threads, "rounds": rounds, "device": str(env.device)}
 
 
 def _result(bench: "_Bench", config: Config, memory_kib: float) -> dict[str, Any]:
@@ -109,6 +108,7 @@ def _result(bench: "_Bench", config: Config, memory_kib: float) -> dict[str, Any
         "share": _shares(rates),
         "memory_per_env_kib": memory_kib,
         "num_envs": config.num_envs,
+        "num_steps": config.ppo.num_steps,
         "networks": list(config.ppo.hidden),
         "precision": config.ppo.precision,
         "terrain": list(config.terrain.families),
@@ -121,6 +121,8 @@ class _Bench:
     def __init__(self, trainer: Trainer, env: ArriveEnv, log: RunLog, threads: int):
         self._trainer, self._env, self._log = trainer, env, log
         self._settings = settings_at(trainer.config, spent=0.0, seeking=1.0)
+        self._steps = trainer.config.ppo.num_steps
+        self._samples = env.num_envs * self._steps
         self._engine = RawEngine(env.physics, trainer.config.physics, threads)
         self.clear()
 
@@ -140,7 +142,7 @@ class _Bench:
         self._note("train_samples_per_s", _seconds(self._iterate))
 
     def _note(self, name: str, seconds: float) -> None:
-        self.rates[name].append(self._trainer.batch / seconds)
+        self.rates[name].append(self._samples / seconds)
 
     def _iterate(self) -> None:
         self._trainer.iterate(self._log.write)
@@ -152,7 +154,7 @@ class _Bench:
         env, engine_s, env_s = self._env, 0.0, 0.0
         actor = self._trainer.algorithm.get_policy()
         observations = env.get_observations()
-        for _ in range(self._trainer.num_steps):
+        for _ in range(self._steps):
             actions = actor(observations, stochastic_output=True)
             self._engine.load(env.joint_targets(actions).numpy())
             engine_s += _seconds(self._engine.step)

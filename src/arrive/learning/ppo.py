@@ -6,7 +6,6 @@ from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO
-from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from arrive.config import PPOConfig
@@ -29,15 +28,6 @@ def make_ppo(config: PPOConfig, env: ArriveEnv, observations: TensorDict, ranks:
         algorithm = PPO.construct_algorithm(observations, env, settings, str(env.device))
     algorithm.train_mode()
     return algorithm
-
-
-def set_num_steps(algorithm: PPO, num_steps: int) -> None:
-    """Let the algorithm learn from this many steps of each robot at once. Those that are stored are lost."""
-    old = algorithm.storage
-    if num_steps != old.num_transitions_per_env:
-        algorithm.storage = RolloutStorage(
-            old.training_type, old.num_envs, num_steps, old.observations[0], old.actions_shape, old.device
-        )
 
 
 def make_actor(config: PPOConfig, observations: TensorDict, num_actions: int, reflections: int) -> Network:

@@ -32,8 +32,6 @@ class Settings:
     """Share of the episodes on a random easier level."""
     decimation: int
     """Physics steps per policy step."""
-    num_steps: int
-    """Policy steps per iteration and robot."""
     calm: bool
     """Whether there are neither pushes nor new targets within an episode."""
 
@@ -60,8 +58,7 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
         max_std=_between(climb_std, schedule.finish_std, finish),
         crash_cost=_between(schedule.climb_crash_cost, schedule.finish_crash_cost, finish),
         review=_between(schedule.climb_review, schedule.finish_review, finish),
-        decimation=config.physics.decimation if spent >= schedule.finish_from else _climb_decimation(config),
-        num_steps=schedule.climb_num_steps or first.num_steps,
+        decimation=config.physics.decimation if spent >= schedule.finish_from else _climb_steps(config),
         calm=False,
     )
     if seeking <= 0.0 or finish > 0.0:
@@ -79,12 +76,11 @@ def _constant(config: Config, entropy: float) -> Settings:
         crash_cost=-config.task.rewards.crash_cost.weight,
         review=0.0,
         decimation=config.physics.decimation,
-        num_steps=config.ppo.num_steps,
         calm=config.schedule.enabled and config.schedule.calm_gait,
     )
 
 
-def _climb_decimation(config: Config) -> int:
+def _climb_steps(config: Config) -> int:
     """Physics steps per policy step while the levels rise. An actuator network keeps its own step."""
     steps = config.schedule.decimation
     return steps if steps and config.physics.motor != "network" else config.physics.decimation

@@ -16,7 +16,6 @@ from arrive.learning.guard import NonFiniteError, all_finite, check_losses, chec
 from arrive.learning.interrupt import interruptible
 from arrive.learning.networks import Network
 from arrive.learning.policy import Policy
-from arrive.learning.ppo import set_num_steps
 from arrive.learning.ranks import ALONE, Ranks
 from arrive.learning.recovery import Recovery
 from arrive.learning.report import IterationReport
@@ -158,12 +157,7 @@ class Trainer:
     @property
     def batch(self) -> int:
         """Policy steps per iteration, of all processes."""
-        return self.env.num_envs * self.num_steps * self.ranks.count
-
-    @property
-    def num_steps(self) -> int:
-        """Policy steps per iteration and robot."""
-        return self.algorithm.storage.num_transitions_per_env
+        return self.env.num_envs * self.config.ppo.num_steps * self.ranks.count
 
     def _follow_schedule(self, spent: float) -> Settings:
         """Apply the schedule's values for the next iteration to the environment."""
@@ -171,7 +165,6 @@ class Trainer:
         self.env.review, self.env.rewarder.crash_cost = settings.review, -settings.crash_cost
         self.env.calm = settings.calm
         self.env.physics.set_decimation(settings.decimation)
-        set_num_steps(self.algorithm, settings.num_steps)
         return settings
 
     def _collect_and_learn(self, settings: Settings) -> tuple[dict[str, float], dict[str, float]]:
@@ -186,7 +179,7 @@ class Trainer:
         state, actor = self.state, self.algorithm.get_policy()
         assert isinstance(actor, Network)
         observations = state.observations
-        for _ in range(self.num_steps):
+        for _ in range(self.config.ppo.num_steps):
             actions = self.algorithm.act(actor.reflect_once(observations))
             observations, rewards, dones, extras = self.env.step(actions)
             self._check_step(observations, rewards)
