@@ -1,7 +1,9 @@
 """The controller: the same actions as in training, and no unsafe command for any input."""
 
+import contextlib
 import json
 import math
+import random
 import re
 import subprocess
 import sys
@@ -528,9 +530,30 @@ def test_replay_gives_identical_commands(exported, tmp_path):
     loaded.policy_digest = "other"
     with pytest.raises(ArriveError, match="another policy"):
         replay(loaded, controller)
-    (tmp_path / "log.npz").write_bytes(b"PK")
+
+
+def test_a_damaged_log_is_refused_in_one_line(controller, tmp_path):
+    """Also where only the compressed bytes are damaged, which neither zip nor NumPy reports as an error of its own."""
+    path, rng = tmp_path / "log.npz", random.Random(1)
+    controller.log = log = ControlLog()
+    for i in range(20):
+        step(controller, i * DT)
+    log.save(path)
+    whole = path.read_bytes()
+    for place in rng.sample(range(8 * len(whole)), 200):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        with contextlib.suppress(ArriveError):
+            loaded = ControlLog.load(path)
+            np.testing.assert_array_equal([c.targets for c in loaded.commands], [c.targets for c in log.commands])
+    for content in (b"", b"PK", whole[:-1], whole + b"\0", b"{}"):
+        path.write_bytes(content)
+        with pytest.raises(ArriveError, match="damaged or no NPZ file"):
+            ControlLog.load(path)
+    np.savez(path, texts="[]", targets=np.zeros(3))
     with pytest.raises(ArriveError, match="not a controller's log"):
-        ControlLog.load(tmp_path / "log.npz")
+        ControlLog.load(path)
 
 
 # Without the training stack.

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from arrive.actuation.arrays import as_numbers, read_arrays
 from arrive.actuation.network import ActuatorNetwork
+from arrive.arrays import as_numbers, read_arrays
 from arrive.errors import ArriveError
 
 

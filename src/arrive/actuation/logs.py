@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arrive.actuation.arrays import as_numbers, read_arrays
+from arrive.arrays import as_numbers, read_arrays
 from arrive.errors import ArriveError
 from arrive.files import read_text
 

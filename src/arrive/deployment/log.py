@@ -3,12 +3,12 @@
 import dataclasses
 import io
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from arrive.arrays import read_arrays
 from arrive.deployment.command import JointCommand
 from arrive.deployment.goals import Goal
 from arrive.deployment.inputs import ARRAYS, GOALS, TIMES, Frame
@@ -62,12 +62,10 @@ class ControlLog:
         """Read a log.
 
         Raises:
-            ArriveError: the file is missing, corrupt or not a controller's log.
+            ArriveError: the file is missing, damaged or not a controller's log.
         """
-        log = cls()
+        log, content = cls(), read_arrays(Path(path))
         try:
-            with np.load(path, allow_pickle=False) as file:
-                content = {name: file[name] for name in file.files}
             texts = json.loads(str(content["texts"]))
             arrays = {name: _split(content[name], json.loads(str(content[f"{name}_shapes"]))) for name in ARRAYS}
             times = {name: content[name].tolist() for name in TIMES}
@@ -77,8 +75,8 @@ class ControlLog:
                 log.frames.append(Frame(**columns, goal=_goal_from_json(goal), mistake=mistake))
             rows = zip(content["targets"], texts["modes"], texts["reasons"], strict=True)
             log.commands += [JointCommand(*row) for row in rows]
-        except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
-            raise ArriveError(f"cannot read {path}: it is missing, corrupt or not a controller's log") from error
+        except Exception as error:  # whatever another program's arrays make json and NumPy raise
+            raise ArriveError(f"cannot read {path}: it is not a controller's log") from error
         return log
 
 
