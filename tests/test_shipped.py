@@ -17,7 +17,7 @@ LARGEST_TREE = 25e6
 """Of all files in git [bytes]: a clone must stay quick."""
 OF_THE_MACHINE = {"ppo.precision"}
 """`auto` in a preset: which one it was is the machine's."""
-OLDER = {"gap", "joystick", "pit", "slope", "stairs", "steps", "walk"}
+OLDER = {"gap", "joystick", "pit", "slope", "stairs", "walk"}
 """Made by a preset as it was before; a policy that is trained again leaves this list."""
 
 
