@@ -132,5 +132,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def remove_unfinished(folder: Path) -> None:
     """Remove incomplete files that a killed process left. Call it only if no other process writes to the folder."""
-    for path in folder.glob(f".*{TEMPORARY}*"):
+    for path in filter(is_unfinished, list(folder.iterdir())):
         path.unlink(missing_ok=True)
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether this is a temporary file that was not complete."""
+    return path.name.startswith(".") and TEMPORARY in path.name

@@ -130,6 +130,27 @@ def test_a_folder_with_a_checkpoint_is_not_started_again(run, refused, name):
     assert (run / name).read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["notes.txt", "config.json", ".notes.tmp", "src"])
+def test_a_folder_with_other_files_is_not_used_for_a_run(tmp_path, refused, name):
+    """A run would replace the user's own config.json."""
+    folder = tmp_path / "project"
+    folder.mkdir()
+    (folder / "notes.md").write_text("mine")
+    if name == "src":
+        (folder / name).mkdir()
+    else:
+        (folder / name).write_text('{"mine": 1}')
+    before = names(folder)
+    assert f"{folder} holds other files, such as" in refused(begin, folder, 1)
+    assert names(folder) == before
+
+
+def test_a_configuration_of_another_program_is_not_replaced(tmp_path, refused):
+    (tmp_path / "config.json").write_text('{"mine": 1}')
+    assert "holds other files, such as config.json" in refused(begin, tmp_path, 1)
+    assert (tmp_path / "config.json").read_text() == '{"mine": 1}'
+
+
 def test_files_of_a_killed_save_are_removed_by_a_resume(run):
     (run / ".policy.pt.abc.tmp.pt").write_text("half")
     resume(run)

@@ -30,7 +30,9 @@ def run_play(command: Play) -> None:
     try:
         print(f"play: {door.address} (Ctrl-C to stop)", flush=True)
         if command.seconds is not None:
-            threading.Timer(command.seconds, stop.set).start()
+            timer = threading.Timer(command.seconds, stop.set)
+            timer.daemon = True  # otherwise the program would wait for it after Ctrl-C
+            timer.start()
         if follower is not None:
             threading.Thread(target=follower.run, args=(stop,), daemon=True).start()
         session.run(stop)

@@ -14,9 +14,9 @@ from typing import Any
 from arrive import __version__
 from arrive.config import Config, saved_config, to_dict
 from arrive.errors import ArriveError
-from arrive.files import cannot_write, read_json, remove_unfinished, write_bytes, write_json
+from arrive.files import cannot_write, is_unfinished, read_json, remove_unfinished, write_bytes, write_json
 from arrive.learning.checkpoint import CHECKPOINT_NAME
-from arrive.learning.logs import LOG_NAME
+from arrive.learning.logs import LOG_NAME, TENSORBOARD_NAME
 from arrive.lock import Lock
 from arrive.plugins import imported, require
 from arrive.policies import CONFIG_NAME, POLICY_NAME, RUNS
@@ -63,7 +63,7 @@ def new_run_folder(config: Config, folder: Path | None) -> Path:
 
 
 def check_free(folder: Path) -> None:
-    """Check that a folder does not hold a run.
+    """Check that a folder holds neither a run nor the user's own files, which a run might replace.
 
     Raises:
         ArriveError: it does.
@@ -73,6 +73,19 @@ def check_free(folder: Path) -> None:
             raise ArriveError(
                 f"{folder} already holds a run ({name}); continue it with --resume {folder}, or choose another folder"
             )
+    foreign = sorted(path.name for path in folder.iterdir() if not _of_a_start(path)) if folder.is_dir() else ()
+    if foreign:
+        raise ArriveError(f"{folder} holds other files, such as {foreign[0]}; choose a new folder for the run")
+
+
+def _of_a_start(path: Path) -> bool:
+    """Whether a start that was interrupted before the first checkpoint left this file."""
+    if path.name == CONFIG_NAME:
+        try:
+            return read_json(path).keys() >= {"config", "command", "commit"}
+        except ArriveError:
+            return False
+    return path.name in (LOCK_NAME, MOTOR_NAME, TENSORBOARD_NAME) or is_unfinished(path)
 
 
 def _new_folder(config: Config) -> Path:
