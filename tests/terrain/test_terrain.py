@@ -12,10 +12,11 @@ from mujoco.batch import Batch
 from arrive.build import build_env
 from arrive.errors import ArriveError
 from arrive.physics.scene import PARKED_Z, add_tile
+from arrive.presets import get_preset
 from arrive.recipe import make_config
 from arrive.terrain import FAMILIES, build_tile, get_family, parse_families
 from arrive.terrain.build import target_share
-from arrive.terrain.obstacles import CLEAR_RADIUS, PASSAGE
+from arrive.terrain.obstacles import CLEAR_RADIUS, HEIGHT, PASSAGE
 from arrive.terrain.rasterise import assemble, dilate
 from arrive.terrain.shapes import EVALUATION_START, GROUND_HALF, evaluation_span, square
 from arrive.terrain.stairs import TREAD
@@ -203,6 +204,16 @@ class TestParameterIsPhysical:
         between = np.linalg.norm(np.maximum(offsets, 0), axis=-1) + np.where(np.eye(len(pillars)), np.inf, 0)
         assert between.min() >= PASSAGE
         assert np.linalg.norm(np.maximum(np.abs(centers) - halves, 0), axis=-1).min() >= CLEAR_RADIUS
+
+
+@pytest.mark.parametrize("level", [1, 2, 5, 29])
+def test_pillars_are_walked_around_from_the_second_level_on(level):
+    """Heights that a robot can climb would teach it to climb what it must later avoid."""
+    family = FAMILIES["obstacles"]
+    tile = build_tile(
+        family, family.value(level, get_preset("robust").terrain.levels), np.random.default_rng(0), "training"
+    )
+    assert tile.heights.max() == pytest.approx(HEIGHT)
 
 
 def test_evaluation_terrain_cannot_be_bypassed():

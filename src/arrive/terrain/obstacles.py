@@ -13,10 +13,13 @@ HEIGHT = 1.2
 """Height of the pillars [m]: more than the robot can climb."""
 NARROWEST, WIDEST = 0.2, 1.1
 """Sides of the pillars [m]."""
-LOWEST_HEIGHT, FULL_HEIGHT_FROM = 0.02, 0.5
-"""Height of the pillars on the first training level [m], and the side from which they are `HEIGHT` tall [m]."""
-FEWEST = 20
-"""Number of pillars on the first training level."""
+LOWEST_HEIGHT, FULL_HEIGHT_FROM = 0.02, 0.22
+"""Height of the pillars on the first training level [m], and the side of the widest pillars from which all are `HEIGHT`
+tall [m]. Robots walk over the first level's. Where heights in between grew with the level, robots learnt to climb
+pillars and had to unlearn it."""
+FEWEST, MOST_FROM = 20, 0.5
+"""Number of pillars on the first training level, and the side of the widest pillars from which there are as many as fit
+[m]."""
 # Lengths that give the robot room are for ANYmal C and scale with the robot's size.
 PASSAGE = 1.0
 """Smallest distance between two pillars [m]. A robot 0.6 m wide fits through, so every target can be reached."""
@@ -45,7 +48,7 @@ def build(side: float, rng: np.random.Generator, layout: Layout, size: float) ->
     """Square pillars at random positions with passages between. In evaluation, the first one blocks the straight line.
 
     In training, `side` is that of the widest pillars. The others are narrower, because narrow and wide pillars need
-    different detours. The first levels have few, low pillars, which a robot may step on.
+    different detours. The first level has few pillars, so low that a robot may step on them.
 
     Targets on and near pillars are invalid. Only targets that a straight walk from the start cannot reach count for the
     curriculum.
@@ -73,8 +76,8 @@ def build(side: float, rng: np.random.Generator, layout: Layout, size: float) ->
 
 def _grown(side: float) -> tuple[float, int]:
     """Height [m] and largest number of pillars on a training level whose widest pillars have this side."""
-    share = min(1.0, (side - NARROWEST) / (FULL_HEIGHT_FROM - NARROWEST))
-    return LOWEST_HEIGHT + share * (HEIGHT - LOWEST_HEIGHT), round(FEWEST + share * (MAX_PILLARS - FEWEST))
+    height = np.interp(side, (NARROWEST, FULL_HEIGHT_FROM), (LOWEST_HEIGHT, HEIGHT))
+    return float(height), round(np.interp(side, (NARROWEST, MOST_FROM), (FEWEST, MAX_PILLARS)))
 
 
 def _throw_darts(
