@@ -11,10 +11,18 @@ from arrive.commands.results import effort_of, keep_longer
 from arrive.config import override
 from arrive.errors import ArriveError
 from arrive.evaluation import walking
-from arrive.evaluation.energy import GRAVITY, check_energy_arguments, energy_content, row, walk
+from arrive.evaluation.energy import GRAVITY, check_energy_arguments, energy_content, measure_energy, row, walk
 from arrive.evaluation.estimate import Z, mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
-from arrive.evaluation.walking import Heading, check_command, constant_command, walking_env
+from arrive.evaluation.walking import (
+    LEAD_M,
+    Heading,
+    check_command,
+    constant_command,
+    possible,
+    slower_words,
+    walking_env,
+)
 from arrive.files import write_json
 from arrive.learning.policy import Policy
 from arrive.presets import get_preset
@@ -158,6 +166,28 @@ class TestCommand:
         command = constant_command(a_policy("continuous"), list(self.HEADINGS), 10.0)
         assert command.offset_w.norm(dim=-1).tolist() == pytest.approx([1.5, 4.5])
         assert command.time_left_s.tolist() == pytest.approx([3.0, 3.0])
+
+    def test_speeds_below_the_slowest_command_are_measured_once_as_that(self):
+        """The paper's episodes have 6 s: 3 m in 6 s is 0.5 m/s, and the 12 s for 0.25 m/s are never observed."""
+        policy = a_policy("final")
+        asked = [Heading(0.25), Heading(0.5), Heading(1.0), Heading(0.1, 90.0)]
+        given = possible(policy, asked)
+        assert given == [Heading(0.5), Heading(1.0), Heading(0.5, 90.0)]
+        env = walking_env(policy, given, 1, 20.0, 1, 1)
+        observed = env.observer.terms[4].compute(env.state, env.task.command)
+        assert (LEAD_M / observed).flatten().tolist() == pytest.approx([heading.speed for heading in given])
+        assert "0.25, 0.1 m/s is below its slowest command of 0.5 m/s" in slower_words(policy, (0.25, 0.1, 0.5))
+
+    @pytest.mark.parametrize("task", ["velocity", "continuous"])
+    def test_the_other_tasks_are_commanded_any_speed(self, task):
+        policy = a_policy(task)
+        assert possible(policy, [Heading(0.1)]) == [Heading(0.1)]
+        assert not slower_words(policy, (0.1,))
+
+    def test_a_row_tells_the_speed_that_was_commanded(self):
+        content = measure_energy(a_policy(), (0.25, 0.5), 2, 2.0, 1, 1)
+        assert [row["told_m_s"] for row in content["speeds"]] == [0.5]
+        assert content["speeds"][0]["robots"] == 2
 
     def test_the_velocity_task_refuses_sideways_commands(self):
         assert constant_command(a_policy("velocity"), [Heading(0.5), Heading(0.5, 180)], 1).speed.tolist() == [

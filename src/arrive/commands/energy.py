@@ -17,7 +17,7 @@ from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
 from arrive.errors import ArriveError
 from arrive.evaluation.energy import NAME, check_energy_arguments, energy_content, measure_energy
-from arrive.evaluation.walking import check_command
+from arrive.evaluation.walking import check_command, slower_words
 from arrive.files import whole
 from arrive.learning.policy import Policy
 from arrive.report.energy_chart import energy_figure
@@ -56,6 +56,7 @@ def energy(command: Energy) -> None:
             )
     for content in measured:
         print_energy(content)
+    say_slower(policies, command.speeds)
     result = energy_content(measured, command.robots, command.distance, command.seed)
     write_result(command.json, result)
     picture = command.json.with_suffix(".png")
@@ -84,6 +85,13 @@ def load_policies(paths: tuple[Path, ...]) -> list[Policy]:
     return policies
 
 
+def say_slower(policies: Sequence[Policy], speeds: Sequence[float]) -> None:
+    """Print a line for each policy that was measured at another speed than it was asked for."""
+    for policy in policies:
+        if words := slower_words(policy, speeds):
+            print(words)
+
+
 def print_energy(content: dict[str, Any]) -> None:
     """Print one policy's results as a table."""
     robots = content["speeds"][0]["robots"]
@@ -94,7 +102,7 @@ def print_energy(content: dict[str, Any]) -> None:
     for row in content["speeds"]:
         figures = ("speed", "torque_sq", "positive_work", "absolute_work", "cost_of_transport", "time_s")
         table.add_row(
-            f"{row['told_m_s']:g}",
+            f"{row['told_m_s']:.3g}",
             *(with_interval(row[name]) for name in figures),
             str(row["fell"]),
             str(row["stood"]),

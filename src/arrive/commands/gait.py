@@ -8,7 +8,7 @@ import torch
 from rich.console import Console
 from rich.progress import Progress
 
-from arrive.commands.energy import load_policies, narrow_table, shown_on, with_interval
+from arrive.commands.energy import load_policies, narrow_table, say_slower, shown_on, with_interval
 from arrive.commands.files import write_result
 from arrive.commands.results import keep_longer
 from arrive.commands.threads import use_threads
@@ -47,6 +47,7 @@ def gait(command: Gait) -> None:
             )
     for content in measured:
         print_gait(content)
+    say_slower(policies, command.speeds)
     result = gait_content(measured, command.robots, command.seconds, command.seed)
     write_result(command.json, result)
     picture = command.json.with_suffix(".png")
@@ -63,7 +64,7 @@ def print_gait(content: dict[str, Any]) -> None:
     table = narrow_table(f"{content['name']} ({content['task']})", columns)
     for row in content["gaits"]:
         direction = f" {row['direction_deg']:+g}°" if row["direction_deg"] else ""
-        told = f"{row['told_m_s']:g}{direction}"
+        told = f"{row['told_m_s']:.3g}{direction}"
         if row["gait"] is None:
             table.add_row(told, "does not walk", *[""] * 6, str(row["fell"]))
             continue

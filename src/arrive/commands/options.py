@@ -138,7 +138,8 @@ class Energy:
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, to be compared."""
     speeds: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.75)
-    """Commanded speeds [m/s]."""
+    """Commanded speeds. A policy of `final` is commanded at least 3 m in an episode, and slower speeds become that
+    [m/s]."""
     distance: float = 100.0
     """Distance that every robot walks [m]."""
     robots: int = 50
@@ -162,7 +163,7 @@ class Gait:
     others: tyro.conf.Positional[tuple[Path, ...]] = ()
     """More of them, to be compared."""
     speeds: tuple[float, ...] = (0.5, 1.0)
-    """Commanded speeds [m/s]."""
+    """Commanded speeds; slow ones as in `arrive energy` [m/s]."""
     directions: tuple[float, ...] = (0.0,)
     """Commanded directions relative to the initial heading, counterclockwise. Policies of the task `velocity` support
     only 0 and 180 [deg]."""

@@ -14,7 +14,7 @@ from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.playing import Pilot
-from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, walking_env
+from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, possible, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 
@@ -79,17 +79,17 @@ def measure_energy(
         progress: called with the metres that all robots walked so far and their total.
 
     Returns:
-        JSON data: which policy, and a row per speed.
+        JSON data: which policy, and a row per speed that it was really commanded, see `possible`.
 
     Raises:
         ArriveError: nothing to measure, or a policy whose task takes no constant command.
     """
     check_energy_arguments(speeds, robots, way_m)
-    commands = [Heading(speed) for speed in speeds]
+    commands = possible(policy, [Heading(speed) for speed in speeds])
     env = walking_env(policy, commands, robots, way_m / SLOWEST, seed, threads)
     walks = walk(env, policy, meter(env, threads), way_m, progress)
-    parts = torch.arange(len(speeds)).repeat_interleave(robots)
-    rows = [row(speed, walks, parts == i, way_m) for i, speed in enumerate(speeds)]
+    parts = torch.arange(len(commands)).repeat_interleave(robots)
+    rows = [row(heading.speed, walks, parts == i, way_m) for i, heading in enumerate(commands)]
     return origin_of(policy) | {
         "speeds": rows,
     }
@@ -194,7 +194,7 @@ def energy_content(policies: list[dict[str, Any]], robots: int, way_m: float, se
             "name": NAME,
             "robots": robots,
             "way_m": way_m,
-            "effort": len(policies) * len(policies[0]["speeds"]) * robots * way_m,
+            "effort": sum(len(policy["speeds"]) for policy in policies) * robots * way_m,
             "seed": seed,
             "terrain": "flat",
             "observation_noise": True,

@@ -15,7 +15,7 @@ from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean
 from arrive.evaluation.footfalls import NAMES, TOGETHER, Footfalls, circular, footfalls, gait_name, hildebrand, steady
 from arrive.evaluation.playing import Pilot
-from arrive.evaluation.walking import Heading, check_speeds, walking_env
+from arrive.evaluation.walking import Heading, check_speeds, possible, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.robots.robot import Robot
@@ -64,13 +64,15 @@ def measure_gait(
         progress: called with the policy steps done so far and their total.
 
     Returns:
-        JSON data: which policy, its feet, and a row per speed and direction.
+        JSON data: which policy, its feet, and a row per speed and direction that it was really commanded, see
+        `possible`.
 
     Raises:
         ArriveError: nothing to measure, or a policy whose task takes no such command.
     """
     check_gait_arguments(commands, robots, seconds)
-    env = walking_env(policy, list(commands), robots, SETTLE_S + seconds, seed, threads)
+    commands = possible(policy, commands)
+    env = walking_env(policy, commands, robots, SETTLE_S + seconds, seed, threads)
     record = walk_steadily(env, policy, seconds, progress)
     corners = env.robot.foot_corners()
     rows = []

@@ -70,7 +70,7 @@ def constant_command(policy: Policy, headings: list[Heading], duration_s: float)
     """The constant command of each robot, by the policy's task (paper, section Energy Consumption).
 
     V gets its speed. P_f gets a target that stays `LEAD_M` ahead, and a constant remaining time of LEAD_M / speed. P_c
-    gets a target that stays speed * `LEAD_S` ahead, in the middle of its time.
+    gets a target that stays speed * `LEAD_S` ahead, in the middle of its time. Give `possible` speeds alone.
 
     Raises:
         ArriveError: the task is none of these, or it cannot walk in such a direction.
@@ -91,6 +91,34 @@ def constant_command(policy: Policy, headings: list[Heading], duration_s: float)
         time_left_s=time_left.to(policy.device),
         speed=torch.where(ahead[:, 0] < 0.0, -speed, speed).to(policy.device),
         heading=torch.zeros_like(speed).to(policy.device),
+    )
+
+
+def slowest_speed(policy: Policy) -> float:
+    """The slowest speed that the policy can be commanded [m/s].
+
+    A policy of `final` observes at most one episode of remaining time, so it cannot tell slower commands from this one.
+    """
+    task = get_task(policy.config.task.name)
+    timed = issubclass(task, FinalPositionTask) and not issubclass(task, ContinuousPositionTask)
+    return LEAD_M / policy.config.task.episode_s if timed else 0.0
+
+
+def possible(policy: Policy, headings: Sequence[Heading]) -> list[Heading]:
+    """The commands that the policy really gets, each once: slower ones become `slowest_speed`."""
+    slowest = slowest_speed(policy)
+    return list(dict.fromkeys(replace(heading, speed=max(heading.speed, slowest)) for heading in headings))
+
+
+def slower_words(policy: Policy, speeds: Sequence[float]) -> str:
+    """A line for the user about commanded speeds that the policy cannot tell from its slowest; "" if there are none."""
+    slowest = slowest_speed(policy)
+    slower = [f"{speed:g}" for speed in dict.fromkeys(speeds) if speed < slowest]
+    if not slower:
+        return ""
+    return (
+        f"{policy.name}: {', '.join(slower)} m/s is below its slowest command of {slowest:.3g} m/s ({LEAD_M:g} m in an "
+        f"episode of {policy.config.task.episode_s:g} s), which was measured instead"
     )
 
 

@@ -54,14 +54,14 @@ def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
         "Bars: 95 % intervals.</p>"
     )
     rows = [
-        [label(policy.task, policy.name), f"{row['told_m_s']:g}"]
+        [label(policy.task, policy.name), f"{row['told_m_s']:.3g}"]
         + [_interval(row[name], digits) for name, digits in ENERGY_COLUMNS.values()]
         + [str(row["fell"]), str(row["stood"])]
         for policy in Measured.of(content)
         for row in policy.content["speeds"]
     ]
     figures = table(["policy", "command [m/s]", *ENERGY_COLUMNS, "fell", "stood"], rows)
-    speeds = [f"{row['told_m_s']:g}" for row in content["policies"][0]["speeds"]]
+    speeds = _told(content, "speeds", "told_m_s")
     options = ("--robots", protocol["robots"], "--distance", f"{protocol['way_m']:g}", "--seed", protocol["seed"])
     command = command_line("energy", *_names(content), "--speeds", *speeds, *options)
     return (
@@ -100,7 +100,7 @@ def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     rows = []
     for policy in Measured.of(content):
         for row in policy.content["gaits"]:
-            cells = [label(policy.task, policy.name), f"{row['told_m_s']:g} m/s, {row['direction_deg']:g}°"]
+            cells = [label(policy.task, policy.name), f"{row['told_m_s']:.3g} m/s, {row['direction_deg']:g}°"]
             if row["gait"] is None:
                 rows.append([*cells, "does not walk", *[""] * 6, str(row["fell"])])
                 continue
@@ -112,10 +112,7 @@ def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
             rows.append([*cells, html.escape(row["gait"]), *figures, duty, phases, travel, str(row["fell"])])
     feet = html.escape(" ".join(content["policies"][0]["feet"]))
     columns = ["gait", "m/s", "Hz", "stride [m]", f"duty {feet}", f"phase {feet}", "travel", "fell"]
-    told_rows = content["policies"][0]["gaits"]
-    speeds, directions = (
-        dict.fromkeys(f"{row[name]:g}" for row in told_rows) for name in ("told_m_s", "direction_deg")
-    )
+    speeds, directions = (_told(content, "gaits", name) for name in ("told_m_s", "direction_deg"))
     options = ("--seconds", f"{protocol['seconds']:g}", "--robots", protocol["robots"], "--seed", protocol["seed"])
     command = command_line("gait", *_names(content), "--speeds", *speeds, "--directions", *directions, *options)
     return (
@@ -210,6 +207,11 @@ def _walkers(runs: Sequence[Run]) -> list[str]:
 
 def _names(content: dict[str, Any]) -> list[str]:
     return [policy["name"] for policy in content["policies"]]
+
+
+def _told(content: dict[str, Any], rows: str, name: str) -> list[str]:
+    """All values of a command that any policy got: the slowest speeds differ between policies."""
+    return [f"{value:g}" for value in sorted({row[name] for policy in content["policies"] for row in policy[rows]})]
 
 
 def _interval(figure: list[float] | None, digits: int) -> str:

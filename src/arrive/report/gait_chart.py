@@ -39,7 +39,7 @@ def _draw_footfalls(axes: Axes, policy: Measured, row: dict[str, Any], color: st
         axes.broken_barh(bars, (len(feet) - 1 - place - 0.36, 0.72), facecolors=color)
     axes.set_yticks(range(len(feet)), [plain(foot) for foot in reversed(feet)])
     direction = f" at {row['direction_deg']:g}°" if row["direction_deg"] else ""
-    title = f"{policy.label}: {plain(row['gait'])}, commanded {row['told_m_s']:g} m/s{direction}"
+    title = f"{policy.label}: {plain(row['gait'])}, commanded {row['told_m_s']:.3g} m/s{direction}"
     finish(axes, title, f"time [s]; {row['speed_m_s'][0]:.2f} m/s towards {row['travel_deg']:+.0f}° of the heading", "")
     axes.grid(False, axis="y")
 
