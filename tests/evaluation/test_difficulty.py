@@ -24,7 +24,7 @@ from arrive.report import charts
 from arrive.report.diagnosis import why_stuck
 from arrive.report.figure import svg_text
 from arrive.report.records import Run
-from arrive.report.table import PAPER, make_relations
+from arrive.report.table import LIMITS, PAPER, make_relations
 from arrive.task.feet import follow_feet
 from arrive.task.registry import TASKS, get_task
 from arrive.task.rewards import bound, functions
@@ -298,13 +298,48 @@ class TestMaximum:
 
         def verdict(*entries):
             row = {"family": "gap", "unit": "m", "ours": list(entries)}
-            return {r["claim"]: r["families"]["gap"]["verdict"] for r in make_relations([row]) if r["families"]}
+            (relation,) = (r for r in make_relations([row]) if r["families"])
+            assert relation["verdict"] == relation["families"]["gap"]["verdict"]
+            return relation["verdict"]
 
-        assert verdict(entry("final", 0.4, 0.4, 0.4), entry("velocity", None, 0.9, 0.9)) == {"P_f above V": "holds"}
-        assert verdict(entry("final", None, 0.4, 0.5), entry("velocity", None, 0.4, 0.6)) == {"P_f above V": "fails"}
-        assert verdict(entry("final", None, None, None), entry("velocity", None, None, None)) == {"P_f above V": "open"}
+        assert verdict(entry("final", 0.4, 0.4, 0.4), entry("velocity", None, 0.9, 0.9)) == "holds"
+        assert verdict(entry("final", None, 0.4, 0.5), entry("velocity", None, 0.4, 0.6)) == "fails"
+        assert verdict(entry("final", None, None, None), entry("velocity", None, None, None)) == "open"
         same = (0.4, 0.4, 0.4)
-        assert verdict(entry("final", *same), entry("continuous", *same)) == {"P_f at least P_c": "holds"}
+        assert verdict(entry("final", *same), entry("continuous", *same)) == "fails"
+
+    def test_the_papers_own_table_passes_its_claims(self):
+        relations = make_relations(table_of(PAPER))
+        assert {r["claim"]: r["verdict"] for r in relations} == {
+            "P_f above V on every terrain": "holds",
+            "P_c above V on at least half of the terrains": "holds",
+            "P_f above P_c on every terrain": "holds",
+        }
+        above = relations[1]["families"]
+        assert [name for name, found in above.items() if found["verdict"] == "holds"] == ["steps", "gap", "pit"]
+
+    def test_one_terrain_less_than_the_paper_has_fails_a_claim(self):
+        assert overall(PAPER | {"gap": {"velocity": 0.7, "continuous": 0.65, "final": 1.2}})[1] == "fails"
+        assert overall(PAPER | {"pit": {"velocity": 0.1, "continuous": 0.95, "final": 0.95}})[2] == "fails"
+        nothing = {"velocity": None, "continuous": None, "final": None}
+        assert overall(PAPER | {"gap": nothing}) == ["open", "open", "open"]
+        assert [relation["verdict"] for relation in make_relations([])] == ["open", "open", "open"]
+
+
+def table_of(results: dict) -> list[dict]:
+    """Rows as of `make_table`, of one run per task."""
+    return [
+        {
+            "family": family,
+            "unit": FAMILIES[family].unit,
+            "ours": [{"task": task} | dict.fromkeys(LIMITS, value) for task, value in values.items()],
+        }
+        for family, values in results.items()
+    ]
+
+
+def overall(results: dict) -> list[str]:
+    return [relation["verdict"] for relation in make_relations(table_of(results))]
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -33,7 +33,7 @@ TASK_NAMES = {
 TITLE = "The paper's experiments, measured here"
 STRIP_WIDTH = 1400
 """Picture strips are shrunk to this [pixels]."""
-WORDS = {"holds": "holds here", "fails": "not yet", "open": "neither solves a level"}
+WORDS = {"holds": "higher", "fails": "not higher", "open": "neither solves a level"}
 LIMIT_NAMES = {"max_at_95": "95 %", "max_at_80": "80 %", "max_at_50": "50 %"}
 
 CSS = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
@@ -104,12 +104,13 @@ def _claims(relations: Sequence[dict[str, Any]]) -> str:
     cards = []
     for relation in relations:
         rows = [
-            f"<li class={v['verdict']}><span class=mark>{MARKS[v['verdict']]}</span>{html.escape(family)}: "
-            f"{WORDS[v['verdict']]} <span class=small>({_compared(v)})</span></li>"
+            f"<li>{html.escape(family)}: {WORDS[v['verdict']]} <span class=small>({_compared(v)})</span></li>"
             for family, v in relation["families"].items()
         ]
-        listed = "".join(rows) or "<li class=open>not measured: it takes both tasks on one terrain</li>"
-        cards.append(f"<div class=claim><h3>{claim(relation['claim'])}</h3><ul>{listed}</ul></div>")
+        listed = "".join(rows) or "<li>not measured: both tasks must be measured on the same terrain</li>"
+        verdict = f"<span class=mark>{MARKS[relation['verdict']]}</span>"
+        title = f"<h3 class={relation['verdict']}>{verdict}{claim(relation['claim'])}</h3>"
+        cards.append(f"<div class=claim>{title}<ul>{listed}</ul></div>")
     return "<h2 id=claims>What the paper claims of terrain</h2><div class=claims>" + "".join(cards) + "</div>"
 
 
