@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from arrive.config import override
 from arrive.deployment.heights import HeightSampler
 from arrive.deployment.policy_file import GridSpec
 from arrive.errors import ArriveError
@@ -41,7 +42,8 @@ def test_importing_and_stepping_needs_no_torch():
         "from arrive.physics.options import PhysicsConfig\n"
         "from arrive.simulation import SimulatedRobot\n"
         "from arrive.terrain.ground import ground_of\n"
-        "config = SimpleNamespace(robot='anymal_c', physics=PhysicsConfig())\n"
+        "observation = SimpleNamespace(heights=SimpleNamespace(reach_m=1.0))\n"
+        "config = SimpleNamespace(robot='anymal_c', physics=PhysicsConfig(), observation=observation)\n"
         "robot = SimulatedRobot(config, ground_of('gap', 3).build())\n"
         "robot.step(robot.sensors().joint_pos)\n"
         "sys.exit('torch' in sys.modules)\n"
@@ -135,6 +137,22 @@ def test_the_height_map_is_what_training_looks_up(family):
         expected = grid_heights(raster, torch.tensor([0]), grid.points, base, yaw)[0].numpy()
         # A grid point on the border of two cells may fall into either by rounding.
         assert np.mean(mine != expected) < 0.02
+
+
+@pytest.mark.parametrize("shape", [(1.6, 1.0, 0.1, 1), (0.5, 0.3, 0.2, 3), (5.0, 3.1, 0.25, 2)])
+def test_the_height_map_covers_the_policys_whole_grid(shape):
+    """At every heading, and with a map that is from half a metre ago. The middle one is not a whole number of steps."""
+    names = ("length", "width", "step", "samples")
+    config = override(CONFIG, tuple(f"observation.heights.{n}={v}" for n, v in zip(names, shape, strict=True)))
+    points = HeightGrid(config.observation.heights).points
+    assert config.observation.heights.reach_m == pytest.approx(float(points.norm(dim=-1).max()), abs=1e-5)
+    robot, sampler = SimulatedRobot(config, FLAT), HeightSampler(GridSpec(points.tolist(), shape[2], 0.5, 1.0))
+    robot.reset((1.234, -2.345))
+    seen = robot.height_map()
+    for yaw in np.linspace(-np.pi, np.pi, 24):
+        moved = robot.base_pos_w + 0.5 * np.array([math.cos(3 * yaw), math.sin(3 * yaw), 0.0])
+        heights = sampler.from_map(seen.origin_w, seen.resolution_m, seen.heights_w, moved, yaw)
+        assert not np.isnan(heights).any()
 
 
 def test_continued_ground_goes_on_and_the_tile_itself_ends():

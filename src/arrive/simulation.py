@@ -26,8 +26,9 @@ DROP = 0.02
 """Robots of ANYmal C's size start this much above standing height [m]."""
 FOOT_MARGIN = 0.05
 """Ground this much farther from a start than the feet's centres can still be under a foot [m]."""
-MAP_HALF = 1.5
-"""Half the edge of the height map around the robot [m]. The corners of the largest preset's grid are 1.18 m away."""
+MAP_MARGIN = 0.5
+"""The height map reaches this much farther than the policy's outermost grid point, as the robot may have moved when an
+older map is used [m]."""
 FAR = 200.0
 """Half the edge of ground that is extended beyond its tile [m]."""
 TOUCH = 1e-6
@@ -81,7 +82,8 @@ class SimulatedRobot:
         """Compile the world and put the robot at the tile's origin, looking along x.
 
         Args:
-            config: gives the robot and the physics options. Its randomisation is not used.
+            config: gives the robot, the physics options and the extent of the height map. Its randomisation is not
+                used.
             tile: the ground, see `Ground.build`. `continued` removes its edge.
             friction: sliding friction of every contact.
             payload_kg: mass added to the base [kg].
@@ -101,6 +103,7 @@ class SimulatedRobot:
         self._crash_sensors = sensor_layout(self.robot).crash_contacts
         edges = [abs(box.center[axis]) + box.half_size[axis] for box in tile.boxes for axis in (0, 1)]
         self._reach = tile.height_field.half_extent if tile.height_field is not None else max(edges)
+        self._map_half = config.observation.heights.reach_m + MAP_MARGIN
         self._feet_radius = float(np.hypot(*self.robot.foot_corners().T).max())
         self.reset()
 
@@ -198,7 +201,7 @@ class SimulatedRobot:
 
     def height_map(self, now_s: float | None = None) -> HeightMap:
         """The tile's raster around the robot, for `Controller.step`. Outside the raster, its edge values continue."""
-        origin, heights = self._around(self.data.qpos[:2], MAP_HALF * max(self.robot.size, 1.0))
+        origin, heights = self._around(self.data.qpos[:2], self._map_half)
         return HeightMap(origin, RASTER_CELL, heights, self.time_s if now_s is None else now_s)
 
     def _highest(self, position: tuple[float, float]) -> float:

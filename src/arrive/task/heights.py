@@ -1,5 +1,6 @@
 """The grid of terrain heights around the robot."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -35,6 +36,12 @@ class HeightsConfig:
     samples: Annotated[int, Range(1, 10)] = 1
     """Points per side of a square of `step`, over whose clipped heights a height sample is the mean. With 1, it is the
     height of its one point, and the policy does not see where between two samples an edge lies."""
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the outermost point from the base [m]."""
+        own = self.step * (self.samples - 1) / self.samples
+        return math.hypot(*(round(extent / self.step) * self.step + own for extent in (self.length, self.width))) / 2
 
     def rules(self) -> tuple[Rule, ...]:
         """Conditions between fields."""
