@@ -15,7 +15,7 @@ from arrive import cli
 from arrive.commands import names
 from arrive.errors import shown
 from arrive.fields import rows
-from arrive.learning.rundir import write_config
+from arrive.learning.rundir import commit, write_config
 from arrive.policies import shipped_names
 from arrive.presets import PRESETS
 from arrive.recipe import make_config
@@ -312,12 +312,14 @@ def test_train_resume_and_evaluate(capsys, monkeypatch, tmp_path):
     assert (first["iteration"], last["iteration"]) == (3, 5)
     assert last["samples"] == 5 * 16 * 8
 
+    record = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(record | {"commit": "of the training"}))
     evaluation = ["eval", str(folder), "--terrain", "flat,pit", "--episodes", "4", "--seed", "3", "--threads", "1"]
-    cli.main([*evaluation, "--json", str(result), "--pictures", str(tmp_path / "pictures")])
+    cli.main([*evaluation, "--layout", "evaluation", "--json", str(result), "--pictures", str(tmp_path / "pictures")])
     out = capsys.readouterr().out
     assert "flat" in out
     assert "95 %" in out
-    check_result(json.loads(result.read_text()))
+    check_result(json.loads(result.read_text()), json.loads((folder / "config.json").read_text()))
     check_pictures(tmp_path / "pictures", out)
 
 
@@ -337,9 +339,20 @@ def check_run_folder(folder) -> None:
     assert policy["commit"]
 
 
-def check_result(content: dict) -> None:
+def check_result(content: dict, record: dict) -> None:
+    """The result says how it was measured, and of which training it is."""
     assert set(content) == {"families", "policy", "protocol", "commit"}
-    assert content["protocol"] == {"name": "arrival", "episodes": 4, "seed": 3}
+    assert content["protocol"] == {
+        "name": "arrival",
+        "episodes": 4,
+        "seed": 3,
+        "layout": "evaluation",
+        "worlds_per_level": record["config"]["terrain"]["variants"],
+        "randomisation": record["config"]["randomisation"],
+        "observation_noise": True,
+    }
+    assert content["commit"] == commit()
+    assert content["policy"]["commit"] == "of the training"
     assert content["policy"]["samples"] == 640
     assert content["policy"]["config"]["terrain"]["families"] == ["flat"]
     assert list(content["families"]) == ["flat", "pit"]

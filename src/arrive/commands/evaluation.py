@@ -19,10 +19,11 @@ from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation import difficulty, reach
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cells_of, choose_cells, evaluate
-from arrive.evaluation.difficulty import difficulty_cells
+from arrive.evaluation.difficulty import difficulty_cells, policy_content
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved, measure_reach
 from arrive.learning.policy import Policy
+from arrive.learning.rundir import commit
 from arrive.physics.device import choose_device, describe_device
 from arrive.policies import CONFIG_NAME, DIFFICULTY_NAME, find_policy
 from arrive.render.graphics import GraphicsUnavailable
@@ -73,6 +74,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
     cells = [cell for family, one in chosen for cell in ([one] if one else cells_of(config, [family]))]
     if command.json:
         keep_longer(command.json, ARRIVAL, len(cells) * command.episodes, command.force)
+    setting = Conditions(command.layout or "training")
     with Progress(transient=True) as bar:
         steps = bar.add_task(f"{len(cells)} x {command.episodes} episodes", total=None)
         answer = evaluate(
@@ -82,13 +84,13 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
             command.seed,
             threads,
             lambda i, n: bar.update(steps, completed=i, total=n),
-            Conditions(command.layout or "training"),
+            setting,
         )
     _print_results(answer.results)
     for family, _ in chosen:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
-        write_result(command.json, _arrival_content(command, policy, answer))
+        write_result(command.json, _arrival_content(command, policy, setting, answer))
     _write_pictures(command.pictures or policy.folder / "pictures", answer.episodes, films=1)
 
 
@@ -205,7 +207,7 @@ def _print_results(results: list[CellResult]) -> None:
     Console().print(table)
 
 
-def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict[str, Any]:
+def _arrival_content(command: Eval, policy: Policy, setting: Conditions, answer: Arrival) -> dict[str, Any]:
     families: dict[str, dict[str, Any]] = {}
     for result in answer.results:
         family = result.cell.family
@@ -214,9 +216,17 @@ def _arrival_content(command: Eval, policy: Policy, answer: Arrival) -> dict[str
         entry["levels"].append(own | result.content())
     return {
         "families": families,
-        "policy": {"samples": policy.samples, "config": to_dict(policy.config)},
-        "protocol": {"name": ARRIVAL, "episodes": command.episodes, "seed": command.seed},
-        "commit": policy.commit,
+        "policy": policy_content(policy),
+        "protocol": {
+            "name": ARRIVAL,
+            "episodes": command.episodes,
+            "seed": command.seed,
+            "layout": setting.layout,
+            "worlds_per_level": policy.config.terrain.variants,
+            "randomisation": to_dict(policy.config.randomisation),
+            "observation_noise": policy.config.observation.noise,
+        },
+        "commit": commit(),
     }
 
 
