@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from arrive.config import saved_config, to_dict
+from arrive.learning.policy import load_policy
 from arrive.policies import SHIPPED, shipped_names
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
@@ -37,6 +38,15 @@ def test_a_policys_configuration_is_its_presets_but_for_seed_and_terrain(name):
     ours, theirs = leaves(to_dict(found)), leaves(to_dict(expected))
     differ = {field for field in ours | theirs if ours.get(field) != theirs.get(field)} - OF_THE_MACHINE
     assert bool(differ) is (name in OLDER), differ
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_a_policy_and_its_results_name_the_commit_of_its_record(name):
+    """What is exported and measured from now on takes it from the policy."""
+    commit = json.loads((SHIPPED / name / "config.json").read_text())["commit"]
+    assert load_policy(SHIPPED / name).commit == commit
+    results = [path for path in (SHIPPED / name).glob("*.json") if path.name in ("difficulty.json", "reach.json")]
+    assert [json.loads(path.read_text())["policy"]["commit"] for path in results] == [commit] * len(results)
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="not a git checkout")

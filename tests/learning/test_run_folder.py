@@ -6,12 +6,13 @@ import math
 import os
 import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 import torch
 
-from arrive import cli, files
+from arrive import __version__, cli, files
 from arrive.commands import training
 from arrive.config import override
 from arrive.errors import ArriveError
@@ -88,6 +89,30 @@ def test_a_folder_that_is_written_by_another_process_is_left_alone(run, refused)
     assert (run / "checkpoint.pt").read_bytes() == before
     resume(run)
     assert names(run) == WHOLE
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="no git")
+def test_the_commit_is_that_of_the_codes_own_checkout(tmp_path, monkeypatch):
+    """A package that is installed into another project's checkout does not name that project's commit."""
+    project = tmp_path / "project"
+    code = project / "venv" / "rundir.py"
+    code.parent.mkdir(parents=True)
+    code.write_text("")
+    monkeypatch.setattr(rundir, "__file__", str(code))
+    assert rundir.commit() == f"unknown (version {__version__}, not in a git checkout)"
+
+    def git(*arguments: str) -> None:
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+        subprocess.run(["git", "-C", str(project), *identity, *arguments], check=True, capture_output=True)
+
+    git("init")
+    git("commit", "--allow-empty", "-m", "of the project")
+    assert rundir.commit().startswith("unknown")
+    git("add", "venv")
+    git("commit", "-m", "of the code")
+    assert re.fullmatch(r"[0-9a-f]{12}", rundir.commit())
+    code.write_text("changed")
+    assert re.fullmatch(r"[0-9a-f]{12}\+", rundir.commit())
 
 
 def test_two_new_runs_cannot_share_a_folder(tmp_path, refused):

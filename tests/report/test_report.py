@@ -97,6 +97,10 @@ def test_every_figure_says_command_seeds_commit_and_budget():
     command = "arrive energy walk-final --speeds 0.5 1 --robots 50 --distance 100 --seed 3"
     assert f"<code>{command}</code>" in text
     assert "seed 7, 20.00 M samples, commit abcdef123456" in text
+    unknown = "unknown (version 0.1.0, not in a git checkout)"
+    copied = energy(final=[(0.5, 50.0)])
+    copied["policies"][0]["commit"] = unknown
+    assert f"commit {unknown}" in energy_section([], copied)
     for section in (stability_section(stability()), window_section(window())):
         assert "<code>python benchmarks/" in section
         assert re.search(r"seeds 1(, 2)?, commit abc", section)

@@ -1,6 +1,6 @@
 """A trained policy, loaded from a file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from arrive.errors import ArriveError
 from arrive.learning.checkpoint import Origin, check_schema, load_policy_file
 from arrive.learning.networks import Network
 from arrive.learning.ppo import make_actor
-from arrive.learning.rundir import require_imports, with_own_motor
+from arrive.learning.rundir import recorded_commit, require_imports, with_own_motor
 from arrive.policies import POLICY_NAME, find_policy, results_folder
 
 CPU = torch.device("cpu")
@@ -62,7 +62,7 @@ class Policy:
 
 
 def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
-    """Read a policy. Nothing in its file is executed.
+    """Read a policy. Nothing in its file is executed. Its commit is the one in the run's record, where there is one.
 
     Args:
         path: a run folder, a policy.pt, or the name of a shipped policy.
@@ -74,7 +74,9 @@ def load_policy(path: Path, device: torch.device | str = "cpu") -> Policy:
     path = find_policy(path)
     path = path / POLICY_NAME if path.is_dir() else path
     require_imports(path.parent)
-    return build_policy(*load_policy_file(path), path, device)
+    origin, weights = load_policy_file(path)
+    origin = replace(origin, commit=recorded_commit(path.parent) or origin.commit)
+    return build_policy(origin, weights, path, device)
 
 
 def build_policy(origin: Origin, weights: dict[str, Tensor], path: Path, device: torch.device | str) -> Policy:

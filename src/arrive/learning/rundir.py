@@ -28,7 +28,10 @@ MOTOR_NAME = "motor.safetensors"
 
 
 def commit() -> str:
-    """The commit of the running code, with `+` if files are modified. Outside a checkout, the version."""
+    """The commit of the running code, with `+` if files are modified. Outside a checkout it is unknown.
+
+    A package that is installed, or copied, into a checkout of something else is outside: git does not know its files.
+    """
     folder = Path(__file__).parent
 
     def git(*arguments: str) -> str:
@@ -37,9 +40,10 @@ def commit() -> str:
         ).stdout.strip()
 
     try:
+        git("ls-files", "--error-unmatch", Path(__file__).name)
         return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
     except (OSError, subprocess.CalledProcessError):
-        return f"version {__version__}"
+        return f"unknown (version {__version__}, not in a git checkout)"
 
 
 def new_run_folder(config: Config, folder: Path | None) -> Path:
@@ -194,6 +198,13 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
     config = saved_config(content["config"], path)
     # Fields that an older version did not write get their defaults.
     return with_own_motor(config, folder), content | {"config": to_dict(config)}
+
+
+def recorded_commit(folder: Path) -> str | None:
+    """The commit in a run's record, or None without a record that has one."""
+    path = folder / CONFIG_NAME
+    commit = read_json(path).get("commit") if path.is_file() else None
+    return commit if isinstance(commit, str) else None
 
 
 def samples_before(record: dict[str, Any]) -> int:

@@ -1,6 +1,7 @@
 """The page's sections on figures 5 and 6, on stability and on the reward window, each with its origin."""
 
 import html
+import re
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -225,10 +226,15 @@ def _origin(command: str, content: dict[str, Any]) -> str:
     """Command, seeds, commits and budgets of a measurement of policies."""
     policies = "; ".join(
         f"{label(policy.task, policy.name)} seed {policy.content.get('seed', '?')}, "
-        f"{policy.content['samples'] / 1e6:.2f} M samples, commit {html.escape(policy.content['commit'][:12])}"
+        f"{policy.content['samples'] / 1e6:.2f} M samples, commit {html.escape(short(policy.content['commit']))}"
         for policy in Measured.of(content)
     )
     return f"<p class=made>{code(command)}<br>Measured by {html.escape(content['commit'])}. Policies: {policies}.</p>"
+
+
+def short(commit: str) -> str:
+    """The first 12 digits of a commit; other words as they are."""
+    return commit[:12] if re.fullmatch(r"[0-9a-f]+", commit) else commit
 
 
 def _made_by(content: dict[str, Any], seeds: str) -> str:
