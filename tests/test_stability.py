@@ -37,7 +37,7 @@ def test_explained_variance_by_hand():
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_each_variant_undoes_one_change_and_the_last_undoes_all(preset):
     config = get_preset(preset)
-    variants = stability.variants(preset).values()
+    variants = stability.variants(config).values()
     ours, half, long, bootstrapped, everything = (override(config, variant.settings) for variant in variants)
     assert ours == config
     assert half.ppo.num_steps == everything.ppo.num_steps == config.ppo.num_steps // 2
@@ -46,6 +46,21 @@ def test_each_variant_undoes_one_change_and_the_last_undoes_all(preset):
     assert long.ppo == config.ppo
     assert bootstrapped == config
     assert [variant.module is not None for variant in variants] == [False, False, False, True, True]
+
+
+def test_variants_say_the_numbers_that_are_compared():
+    """Also those that --set has changed."""
+    words = [variant.words for variant in stability.variants(get_preset("robust")).values()]
+    assert words == [
+        "12 steps per iteration, episodes of 5 to 8 s, time-outs not bootstrapped",
+        "6 instead of 12 steps per iteration",
+        "episodes of 20 s instead of 5 to 8 s",
+        "bootstrapped time-outs",
+        "6 steps, episodes of 20 s and bootstrapped time-outs",
+    ]
+    changed = stability.variants(override(get_preset("paper"), ("ppo.num_steps=24",)))
+    assert changed["half steps"].words == "12 instead of 24 steps per iteration"
+    assert changed["half steps"].settings == ("ppo.num_steps=12",)
 
 
 def test_the_module_bootstraps(monkeypatch):
@@ -134,7 +149,7 @@ def test_stability_trains_every_variant_of_every_seed_and_the_report_shows_it(ma
     assert len(made) == len({name for name, _ in made}) == 2 * 2 * 5
     content = json.loads((tmp_path / "stability.json").read_text())
     assert len(content["runs"]) == 20
-    assert "| flat | the paper's three changes | 2 of 2 |" in capsys.readouterr().out
+    assert "| flat | 6 instead of 12 steps per iteration | 2 of 2 |" in capsys.readouterr().out
     assert "2 of 2" in stability_section(content)
 
 

@@ -168,7 +168,7 @@ def stability() -> dict[str, Any]:
 
     return {
         "runs": [run("ours", 1, 0.95), run("ours", 2, 0.9), run("short", 1, 0.89), run("short", 2, 1.0)],
-        "variants": {"ours": "the paper's three changes", "short": "half the steps", "long": "20 s"},
+        "variants": {"ours": "12 steps", "short": "half the steps", "long": "20 s"},
         "protocol": {
             "name": "stability",
             "preset": "robust",
