@@ -19,7 +19,7 @@ from arrive.report.write import read_results
 from small_results import origin, stability, walked, window
 
 
-def energy(**costs: list[tuple[float, float]]) -> dict:
+def energy(**costs: list[tuple[float, ...]]) -> dict:
     policies = [
         origin(f"walk-{task}", task) | {"speeds": [walked(*row) for row in rows]} for task, rows in costs.items()
     ]
@@ -51,6 +51,17 @@ class TestEnergyStatements:
         dear = energy(velocity=[(0.5, 51.0)], final=[(0.5, 60.0)])
         assert verdicts(energy_statements(dear))["P_f needs less than V at low speed"] == "fails"
 
+    def test_about_the_same_is_open_if_the_intervals_allow_both_answers(self):
+        """Ratios of 50 to 60 and of 50 to 66, where a quarter more is allowed."""
+        for dear, half, expected in (
+            (60.0, 1.0, "holds"),
+            (60.0, 2.0, "open"),
+            (66.0, 1.0, "fails"),
+            (66.0, 2.0, "open"),
+        ):
+            content = energy(velocity=[(1.0, dear, half)], final=[(1.0, 50.0, half)], continuous=[(1.0, 55.0, half)])
+            assert verdicts(energy_statements(content))["All need about the same at high speed"] == expected
+
     def test_a_claim_without_a_common_speed_or_a_task_is_open(self):
         for content in (energy(velocity=[(1.0, 50.0)], final=[(0.5, 50.0)]), energy(final=[(0.5, 50.0)])):
             assert set(verdicts(energy_statements(content)).values()) == {"open"}
@@ -71,7 +82,13 @@ def test_statements_on_gaits():
 
 
 def test_stability_counts_seeds_that_reach_the_goal():
-    assert verdicts(stability_statements(stability())) == {"flat: better than with half the steps": "holds"}
+    claim = "flat: better than with half the steps"
+    assert verdicts(stability_statements(stability())) == {claim: "open"}, "two seeds decide nothing"
+    few = stability()
+    few["runs"] = [run | {"success": 1.0 - lost} for run in few["runs"] for lost in (0.0, 0.01) for _ in range(2)]
+    for run in few["runs"]:
+        run["success"] -= 0.5 * (run["variant"] == "short")
+    assert verdicts(stability_statements(few)) == {claim: "holds"}, "4 of 4 seeds against none"
     text = stability_section(stability())
     assert "<td>2 of 2</td><td>90.0 / 92.5 / 95.0</td>" in text
     assert "<td>1 of 2</td><td>89.0 / 94.5 / 100.0</td>" in text

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
+from arrive.evaluation.wilson import wilson_interval
 from arrive.report.records import SYMBOLS, Measured
 
 ALIKE = 1.25
-"""Costs whose ratio is at most this count as similar: the paper gives no figures."""
+"""Costs are about the same if the largest is at most this times the smallest. The paper gives no figure for this."""
 
 
 def energy_statements(content: dict[str, Any]) -> list[dict[str, str]]:
-    """The paper's statements on figure 5, each `holds`, `fails` or `open`, and why.
+    """The paper's statements on figure 4, each `holds`, `fails` or `open`, and why.
 
-    Costs are compared at equal speeds reached, interpolated between the commanded speeds: at the slowest and at
-    the fastest that all compared policies reach. Where the intervals overlap a comparison is open.
+    Costs are compared at the same speed, the slowest or the fastest that all compared policies reach. A cost at a speed
+    between two measured ones is interpolated. A statement is open if the 95 % intervals allow both answers.
 
     Args:
         content: of `energy_content`.
@@ -35,7 +36,7 @@ def _cheaper(content: dict[str, Any], better: str, worse: str, fast: bool) -> di
     if found is None:
         return _statement(claim, "open", "it takes both, at a common speed")
     speed, (first, second) = found
-    verdict = "open" if first[1] < second[2] and second[1] < first[2] else "holds" if first[0] < second[0] else "fails"
+    verdict = "holds" if first[2] <= second[1] else "fails" if first[1] >= second[2] else "open"
     return _statement(claim, verdict, f"{first[0]:.0f} against {second[0]:.0f} N² m² s/m at {speed:.2f} m/s")
 
 
@@ -45,8 +46,9 @@ def _alike(content: dict[str, Any]) -> dict[str, str]:
     if found is None:
         return _statement(claim, "open", "it takes all three, at a common speed")
     speed, costs = found
-    least, most = min(cost[0] for cost in costs), max(cost[0] for cost in costs)
-    verdict = "holds" if most <= ALIKE * least else "fails"
+    values, lows, highs = zip(*costs, strict=True)
+    least, most = min(values), max(values)
+    verdict = "holds" if max(highs) <= ALIKE * min(lows) else "fails" if max(lows) > ALIKE * min(highs) else "open"
     return _statement(claim, verdict, f"{least:.0f} to {most:.0f} N² m² s/m at {speed:.2f} m/s")
 
 
@@ -84,7 +86,7 @@ def _curve(policy: Measured) -> np.ndarray | None:
 
 
 def gait_statements(content: dict[str, Any]) -> list[dict[str, str]]:
-    """The paper's statements on figure 6: V trots, P_f and P_c do not.
+    """The paper's statements on figure 5: V trots, P_f and P_c do not.
 
     Args:
         content: of `gait_content`.
@@ -104,7 +106,10 @@ def gait_statements(content: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def stability_statements(content: dict[str, Any]) -> list[dict[str, str]]:
-    """Whether training succeeds on more seeds with the first variant, the preset as it is, than with each other one."""
+    """Whether training succeeds on more seeds with the first variant, the preset as it is, than with each other one.
+
+    Open where the 95 % intervals of the shares overlap.
+    """
     found = []
     first, *others = content["variants"]
     for ground in content["protocol"]["grounds"]:
@@ -113,8 +118,8 @@ def stability_statements(content: dict[str, Any]) -> list[dict[str, str]]:
             (ours, tried), (theirs, tried_there) = counts[first], counts[name]
             if not tried or not tried_there:
                 continue
-            share, other = ours / tried, theirs / tried_there
-            verdict = "holds" if share > other else "fails" if share < other else "open"
+            mine, other = wilson_interval(ours, tried), wilson_interval(theirs, tried_there)
+            verdict = "holds" if mine[0] > other[1] else "fails" if mine[1] < other[0] else "open"
             why = f"{ours} of {tried} seeds against {theirs} of {tried_there}"
             found.append(_statement(f"{ground}: better than with {content['variants'][name]}", verdict, why))
     return found
