@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ from arrive.deployment import (
     WayPoints,
     replay,
 )
-from arrive.deployment.inputs import frame_of
+from arrive.deployment.command import JointCommand
+from arrive.deployment.inputs import ARRAYS, frame_of
 from arrive.deployment.policy_file import read_policy_file
 from arrive.deployment.terms import COMPUTED
 from arrive.env import POLICY
@@ -530,6 +532,21 @@ def test_replay_gives_identical_commands(exported, tmp_path):
     loaded.policy_digest = "other"
     with pytest.raises(ArriveError, match="another policy"):
         replay(loaded, controller)
+
+
+@pytest.mark.parametrize("points", [187, 1683])
+def test_a_log_takes_4_bytes_per_grid_point_and_1_kb_per_step(points, tmp_path):
+    """In memory and in the file before compression; 1683 points are the grid of `robust`."""
+    log, steps, rng = ControlLog(), 50, np.random.default_rng(0)
+    for i in range(steps):
+        sensors = Sensors(np.zeros(12), np.zeros(12), np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3), i * DT)
+        heights = GridHeights(rng.normal(size=points), i * DT)
+        frame = frame_of(sensors, Joystick(1.0, 0.0), heights, i * DT, None)
+        log.append(SimpleNamespace(digest="0"), frame, JointCommand(np.zeros(12), "joystick", ""))
+    assert sum(getattr(frame, name).nbytes for frame in log.frames for name in ARRAYS) < steps * (4 * points + 500)
+    log.save(tmp_path / "log.npz")
+    with np.load(tmp_path / "log.npz") as file:
+        assert sum(file[name].nbytes for name in file.files) < steps * (4 * points + 1000)
 
 
 def test_a_damaged_log_is_refused_in_one_line(controller, tmp_path):

@@ -130,7 +130,7 @@ class Controller:
         """
         pos, safety = frame.base_pos_w, self.safety
         standing = self.policy.robot.standing_height_m
-        heights, seen = self._grid.fill(frame.heights_w, pos[2] - standing)
+        heights, seen = self._grid.fill(frame.heights_w.astype(np.float64), pos[2] - standing)
         if seen < safety.least_seen:
             raise BadInput(f"only {seen:.0%} of the ground was seen")
         ground = _median(heights)

@@ -45,7 +45,8 @@ class Frame:
     base_ang_vel_b: np.ndarray
     sensors_time_s: float
     heights_w: np.ndarray
-    """(points,) ground at the grid's points, NaN where nothing was seen [m]."""
+    """(points,) float32 ground at the grid's points, NaN where nothing was seen [m]. Most of a log is this, and float32
+    is finer than any sensor."""
     terrain_time_s: float
     now_s: float
     goal: Goal | None
@@ -82,7 +83,7 @@ def frame_of(sensors: Any, goal: Any, terrain: Any, now_s: Any, grid: HeightSamp
     return Frame(
         **values,
         sensors_time_s=to_number(_attribute(sensors, "time_s")),
-        heights_w=heights,
+        heights_w=heights.astype(np.float32),
         terrain_time_s=to_number(_attribute(terrain, "time_s")),
         now_s=to_number(now_s),
         goal=_goal(goal),

@@ -20,7 +20,10 @@ KINDS = {kind.__name__: kind for kind in GOALS}
 
 
 class ControlLog:
-    """Records inputs and commands, about 2 kB per step. Of a map or a point cloud it keeps the grid's heights."""
+    """Records inputs and commands. Of a map or a point cloud it keeps the heights at the grid's points.
+
+    A step takes about 1 kB and 4 B per grid point: 7.7 kB with the 1,683 points of `robust`.
+    """
 
     def __init__(self) -> None:
         """Start empty."""
@@ -43,7 +46,7 @@ class ControlLog:
         content: dict[str, Any] = {name: [getattr(frame, name) for frame in self.frames] for name in TIMES}
         for name in ARRAYS:
             values = [getattr(frame, name) for frame in self.frames]
-            content[name] = np.concatenate([np.zeros(0), *(value.ravel() for value in values)])
+            content[name] = np.concatenate([value.ravel() for value in values]) if values else np.zeros(0)
             content[f"{name}_shapes"] = json.dumps([value.shape for value in values])
         content["targets"] = np.array([command.targets for command in self.commands])
         content["texts"] = json.dumps({
