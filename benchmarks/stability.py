@@ -4,8 +4,8 @@
     python benchmarks/stability.py --grounds flat gap=0.2 --seeds 1 2 3 --samples 2e7 --threads 1
 
 The paper takes 48 instead of 24 steps per iteration and episodes of 6 instead of 20 s, and does not bootstrap
-time-outs. A preset has its own numbers: 12 steps and 5 to 8 s in `robust`, 48 steps and 6 s in `paper`. Compared are the
-preset as it is, with half of its steps, with episodes of 20 s, with bootstrapped time-outs, and with all of these.
+time-outs. A preset has its own numbers: 12 steps and 5 to 8 s in `robust`, 48 steps and 6 s in `paper`. Compared are
+the preset as it is, with half of its steps, with episodes of 20 s, with bootstrapped time-outs, and with all of these.
 
 All runs have the same number of samples. A seed succeeds if its policy reaches the success rate `--goal` by the
 protocol of maximum difficulty. The same command continues an interrupted benchmark. stability.json has the results so

@@ -28,7 +28,7 @@ GAITS = {
     "bound": (0.0, 0.4, 0.0, 0.4),
     "pronk": (0.0, 0.02, 0.98, 0.0),
     "walk": (0.0, 0.75, 0.5, 0.25),
-    # The paper's figure 6 b: right hind, then left hind and right fore together, then left fore.
+    # The paper's figure 5 b: right hind, then left hind and right fore together, then left fore.
     "three-phased": (0.66, 0.33, 0.33, 0.0),
 }
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def energy(command: Energy) -> None:
-    """Let policies walk at each speed, print the energy used, and write the JSON file and figure 5."""
+    """Let policies walk at each speed, print the energy used, and write the JSON file and figure 4."""
     check_energy_arguments(command.speeds, command.robots, command.distance)
     # As in `eval`: small networks gain nothing from torch's threads.
     threads = use_threads(command.threads)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def gait(command: Gait) -> None:
-    """Let policies walk steadily, print their gaits, and write the JSON file and figure 6."""
+    """Let policies walk steadily, print their gaits, and write the JSON file and figure 5."""
     commands = [Heading(speed, direction) for speed in command.speeds for direction in command.directions]
     check_gait_arguments(commands, command.robots, command.seconds)
     threads = use_threads(command.threads)

@@ -131,7 +131,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Energy:
-    """Measure the energy consumption of walking at commanded speeds (the paper's figure 5)."""
+    """Measure the energy consumption of walking at commanded speeds (the paper's figure 4)."""
 
     policy: tyro.conf.Positional[Path]
     """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
@@ -156,7 +156,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class Gait:
-    """Measure gaits: footfalls, duty factors, strides, phases, and the gait's name (the paper's figure 6)."""
+    """Measure gaits: footfalls, duty factors, strides, phases, and the gait's name (the paper's figure 5)."""
 
     policy: tyro.conf.Positional[Path]
     """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""

@@ -1,4 +1,4 @@
-"""Energy per metre at commanded speeds (paper, section Energy Consumption, figure 5)."""
+"""Energy per metre at commanded speeds (paper, section Energy Consumption, figure 4)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

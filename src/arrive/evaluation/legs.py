@@ -1,4 +1,4 @@
-"""Whether a robot's legs pass through each other, which physics lets them."""
+"""Whether a robot's legs overlap: they touch or, with `physics.leg_contacts=false`, pass through each other."""
 
 import mujoco
 import numpy as np

@@ -25,7 +25,7 @@ UNITS = {
     "action_rate_rad_s": "mean rate of a joint's target [rad/s]",
     "at_torque_limit": "share of joints at their effort limit",
     "at_joint_limit": "share of joints at an end of their range",
-    "legs_crossed": "share of the time in which a leg passes through another one, which a real one cannot",
+    "legs_crossed": "share of the time in which two legs touch, or overlap without `physics.leg_contacts`",
     "rest_joint_speed_rad_s": "mean joint speed in the last second [rad/s]",
     "rest_height": "base height in the last second, over that of standing",
 }

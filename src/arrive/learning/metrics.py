@@ -45,9 +45,11 @@ METRICS = (
     Metric("learning/entropy_bonus", "1", "weight of the entropy bonus, set by the schedule"),
     Metric("learning/diverged", "1", "robots reset because their simulation diverged, since the run started"),
     Metric(
-        "failures/crash", "share", "recent episodes in which the base touched something, or the simulation diverged"
+        "failures/crash",
+        "share",
+        "recent episodes in which the base touched something; `episodes/diverged` has diverged simulations",
     ),
-    Metric("failures/fell", "share", "recent episodes in which the robot fell into a hole or off the terrain"),
+    Metric("failures/fell", "share", "recent episodes in which the base fell into a gap"),
     Metric("failures/late", "share", "recent episodes that ended away from the target with the robot still walking"),
     Metric("failures/stalled", "share", "recent episodes that ended away from the target with the robot standing"),
     Metric(

@@ -1,4 +1,4 @@
-"""Figure 5 of the paper: what walking costs at the speed that was really reached."""
+"""Figure 4 of the paper: what walking costs at the speed that was really reached."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""The page's sections on figures 5 and 6, on stability and on the reward window, each with its origin."""
+"""The page's sections on figures 4 and 5, on stability and on the reward window, each with its origin."""
 
 import html
 import re
@@ -42,8 +42,8 @@ FILES = {
 
 
 def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
-    """Figure 5."""
-    head = "<h2 id=energy>What walking costs (figure 5)</h2>"
+    """Figure 4 of the paper."""
+    head = "<h2 id=energy>What walking costs (figure 4)</h2>"
     if content is None:
         return head + missing("Not measured.", command_line("energy", *_walkers(runs)))
     protocol = content["protocol"]
@@ -87,8 +87,8 @@ ENERGY_COLUMNS = {
 
 
 def gait_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
-    """Figure 6."""
-    head = "<h2 id=gait>How the robots step (figure 6)</h2>"
+    """Figure 5 of the paper."""
+    head = "<h2 id=gait>How the robots step (figure 5)</h2>"
     if content is None:
         return head + missing("Not measured.", command_line("gait", *_walkers(runs)))
     protocol = content["protocol"]

@@ -1,4 +1,4 @@
-"""Figure 6 of the paper: when each foot stands, and where the gait lies between Hildebrand's axes."""
+"""Figure 5 of the paper: when each foot stands, and where the gait lies between Hildebrand's axes."""
 
 from collections.abc import Sequence
 from typing import Any

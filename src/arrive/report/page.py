@@ -281,8 +281,8 @@ def _training(runs: Sequence[Run]) -> str:
         return ""
     return (
         "<h2 id=training>Training</h2><p class=soft>Success is each task's own: at the target when the time is over, "
-        "or for V half of the commanded distance walked without a crash. The tasks' levels rise by rules of their own."
-        "</p>"
+        "or for V more than 4 m or half of the commanded distance walked without a crash. Each task has its own rule "
+        "for when levels rise.</p>"
         f"{chart(lambda columns: training_chart(runs, columns), 'training curves', 2)}"
     )
 

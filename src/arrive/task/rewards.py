@@ -60,7 +60,7 @@ class Approach(Reward):
     speed: Positive = 1.0
     """Speed towards the target at which it saturates [m/s]."""
     max_speed: NotNegative = 0.0
-    """Above this speed towards the target the reward falls as steeply as it rose, down to 0; 0 for no limit [m/s]."""
+    """Above this speed towards the target the reward falls to 0, by 1 for every `speed` more; 0 for no limit [m/s]."""
     braking: NotNegative = 0.0
     """Within this distance of the target, `speed` and `max_speed` fall in proportion to the distance; 0 for never
     [m]."""

@@ -270,9 +270,10 @@ class VelocityTask:
         return (command.time_left_s < dt / 2) | command.outside
 
     def judge(self, state: State, crashed: Tensor, fell: Tensor) -> Outcome:
-        """Levels follow the distance walked (legged_gym). Success is half of the commanded distance without a crash.
+        """Levels follow the distance walked (legged_gym).
 
-        In a trial, success is reaching the required distance along the x axis, even if the robot crashes afterwards.
+        Success is half of the commanded distance, or more than `WALK_TO_RISE`, without a crash. In a trial, success is
+        reaching the required distance along the x axis, even if the robot crashes afterwards.
         """
         walked = (state.base_pos_w - self._command.start_w)[:, :2].norm(dim=-1)
         commanded = self._command.speed.abs() * self._config.episode_s
