@@ -16,7 +16,8 @@ from arrive.commands import names
 from arrive.errors import shown
 from arrive.fields import rows
 from arrive.learning.rundir import commit, write_config
-from arrive.policies import shipped_names
+from arrive.policies import SHIPPED, shipped_names
+from arrive.policies.solved import amounts, solved_beside
 from arrive.presets import PRESETS
 from arrive.recipe import make_config
 from arrive.render import graphics, pictures
@@ -224,6 +225,13 @@ def test_list_takes_policies_without_targets(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(names, "shipped_names", lambda: ["walker"])
     cli.main(["list", "policies"])
     assert "not evaluated; anymal_c, trained on flat" in capsys.readouterr().out
+
+
+def test_list_says_by_which_rule_a_value_counts_as_solved(capsys):
+    """A weak value hides the harder ones, so a policy may open at a value below others that it solves."""
+    cli.main(["list", "policies"])
+    solved = amounts(solved_beside(SHIPPED / "gap"))[0]
+    assert f"solves {solved} and everything easier in 95 %" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("arguments", [["--help"], []])

@@ -212,7 +212,7 @@ class Play:
     default."""
     terrain: str | None = None
     """Terrain family, or NAME=VALUE with the value of its parameter, e.g. gap=0.4 [m] or slope=20 [deg]. Default: the
-    terrain that the policy was trained on, at the hardest value that it solves."""
+    terrain that the policy was trained on, at the hardest value that it solves in 95 %, as it does every easier one."""
     level: int | None = None
     """One of the policy's own levels, as in `arrive eval`."""
     layout: Literal["evaluation", "training"] = "evaluation"

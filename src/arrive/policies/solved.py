@@ -9,7 +9,7 @@ from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, varies
 
 SOLVED = "max_at_95"
-"""Key of the hardest value that is solved in 95 % of the episodes."""
+"""Key of the hardest value that is solved, with every easier one, in 95 % of the episodes."""
 TELLING = ("gap", "pit", "stairs", "obstacles", "steps", "slope", "stairs_down", "slope_down", "rough")
 """Terrains in the order in which a policy's skills are listed."""
 

@@ -57,6 +57,7 @@ def _difficulty(run: Run, measured: dict[str, Any]) -> list[str]:
         f"`arrive eval --protocol difficulty`: {protocol['episodes']} episodes per level, seed {protocol['seed']}; "
         f"success is {markdown(protocol['success'].partition(';')[0])}. Commit {markdown(measured['commit'])}.",
         _solved(run),
+        "A value is solved if it and every easier one below have at least that success rate.",
         *(_family(run, name, results) for name, results in run.results().items()),
     ]
 
@@ -81,7 +82,7 @@ def _reach(run: Run, measured: dict[str, Any]) -> list[str]:
 
 
 def _solved(run: Run) -> str:
-    """The hardest parameter solved with each share of success, a line per family."""
+    """The hardest parameter up to which all are solved with each share of success, a line per family."""
     head = ["terrain", *(f"solved with {share:.0%}" for share in SHARES)]
     rows = []
     for name, entry in run.families.items():
