@@ -5,6 +5,8 @@ import csv
 import json
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import imageio.v2 as imageio
 import pytest
@@ -12,7 +14,8 @@ import torch
 from PIL import Image
 
 from arrive import cli
-from arrive.commands import names
+from arrive.commands import evaluation, names
+from arrive.commands.options import Eval
 from arrive.errors import shown
 from arrive.fields import rows
 from arrive.learning.rundir import commit, write_config
@@ -169,6 +172,16 @@ def test_an_evaluation_of_nothing_is_refused(refused, trained, options, words):
     message = refused("eval", trained, "--threads", "1", *options)
     for word in words:
         assert word in message
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"), [(None, [0, 3, 6, 10, 13, 16, 19, 23, 26, 29]), (2, [0, 29]), (30, list(range(30)))]
+)
+def test_an_evaluation_spreads_over_the_policys_own_levels(levels, expected):
+    """All 30 levels of `robust` would be 15,000 episodes."""
+    policy = SimpleNamespace(config=make_config(parse_families("flat")))
+    cells = evaluation._spread(Eval(Path("run"), levels=levels), policy, FAMILIES["pit"])
+    assert [(cell.level, cell.value) for cell in cells] == [(i, FAMILIES["pit"].value(i, 30)) for i in expected]
 
 
 def test_a_truncated_policy_is_refused(refused, trained, tmp_path):
@@ -390,9 +403,12 @@ def check_pictures(folder, out: str) -> None:
         assert made == []
         return
     assert out.count("pictures: ") == 1
-    assert [name for name in made if name.endswith(".mp4")] == ["flat.mp4"]
+    filmed = [name for name in made if name.endswith(".mp4")]
+    assert len(filmed) == 2, "one of each terrain"
+    assert filmed[0] == "flat.mp4"
+    assert filmed[1].startswith("pit_")
     assert len([name for name in made if name.endswith(".png")]) == 3
-    assert len(made) == 4
+    assert len(made) == 5
     for name in made[:-1]:
         if name.endswith(".png"):
             assert Image.open(folder / name).size[0] > 6 * 64

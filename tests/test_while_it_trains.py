@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,18 +10,22 @@ import numpy as np
 import pytest
 import rsl_rl.utils.wandb_log_writer as wandb_log_writer
 
-from arrive import __version__, cli
+from arrive import __version__, cli, plugins
 from arrive.commands import films
 from arrive.commands.films import Films
 from arrive.config import Config
+from arrive.evaluation.arrival import choose_cells
 from arrive.learning import logs
 from arrive.learning.logs import RunLog, read_log
+from arrive.learning.report import FamilyReport
 from arrive.learning.rundir import read_config
 from arrive.play.follow import Follower
 from arrive.play.playground import Playground
 from arrive.play.skills import open_skill
 from arrive.policies import SHIPPED
+from arrive.terrain import FAMILIES
 from arrive.terrain.ground import ground_of
+from reports import make_report
 from settings import SMALL
 
 TINY = ["--iterations", "1", "--num-envs", "16", "--threads", "1"]
@@ -100,21 +104,46 @@ def test_without_wandb_the_message_says_how_to_get_it(tmp_path, monkeypatch):
 def test_films_are_made_every_few_minutes_and_never_two_at_once(tmp_path, monkeypatch):
     clock, started, busy = [0.0], [], [None]
     monkeypatch.setattr(films.time, "monotonic", lambda: clock[0])
-    process = SimpleNamespace(poll=lambda: busy[0], wait=lambda: None)
+    process = SimpleNamespace(poll=lambda: busy[0], wait=lambda: None, returncode=0)
     monkeypatch.setattr(films.subprocess, "Popen", lambda words, **_: started.append(words) or process)
+    monkeypatch.setattr(plugins, "_imported", {"mine": "/my/mine.py", "a.b": "a.b", "theirs": "package theirs"})
     (tmp_path / "policy.pt").touch()
-    made = Films(tmp_path, 2.0)
+    told = []
+    made = Films(tmp_path, 2.0, told.append)
+    report = make_report(1, samples=1_500_000)
     for clock[0], count in ((119.0, 0), (121.0, 1), (242.0, 1)):
-        made.tick(1_500_000)
+        made.tick(report)
         assert len(started) == count
     busy[0] = 0
-    made.tick(2_500_000)
+    made.tick(replace(report, samples=2_500_000))
     assert [words[words.index("--pictures") + 1] for words in started] == [
         str(tmp_path / "films" / name) for name in ("0001.50M", "0002.50M")
     ]
-    assert started[0][:3] == [sys.executable, "-m", "arrive"]
-    Films(tmp_path, None).tick(10)
+    imports = ["--import", "/my/mine.py", "--import", "a.b"]
+    assert started[0][:8] == [sys.executable, "-m", "arrive", *imports, "eval"]
+    assert told == ["no film: exit status 0"], "the first process made none"
+    Films(tmp_path, None, told.append).tick(report)
     assert len(started) == 2
+
+
+def test_a_film_shows_every_terrain_at_the_level_that_its_robots_have_reached():
+    families = {"flat": FamilyReport(1.0, 0.0, (8,)), "pit": FamilyReport(0.5, 1.6, (1, 2, 3, 0))}
+    terrain = ",".join(films._at_level(*item) for item in families.items())
+    chosen = choose_cells(config_of(SHIPPED / "pit"), terrain)
+    assert [(family.name, cell and cell.value) for family, cell in chosen] == [
+        ("flat", None),
+        ("pit", FAMILIES["pit"].value(2, 4)),
+    ]
+
+
+def test_a_film_that_fails_says_why(tmp_path):
+    (tmp_path / "policy.pt").write_bytes(b"half a file")
+    told = []
+    made = Films(tmp_path, 0.0, told.append)
+    made.tick(make_report(1))
+    made.close()
+    (line,) = told
+    assert line.startswith(f"no film: cannot read {tmp_path / 'policy.pt'}")
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])

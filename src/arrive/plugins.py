@@ -29,6 +29,16 @@ def imported() -> dict[str, str]:
     return dict(_imported)
 
 
+def import_options() -> list[str]:
+    """The options by which another command imports the same modules. Those of packages need none."""
+    return [word for name, source in _imported.items() if _was_named(name, source) for word in ("--import", source)]
+
+
+def _was_named(name: str, source: str) -> bool:
+    """Whether a module came by --import, not from an installed package."""
+    return source.endswith(".py") or source == name
+
+
 def import_module(source: str) -> ModuleType:
     """Import a plugin module. Importing it a second time does not run it again.
 
@@ -111,5 +121,5 @@ def require(modules: dict[str, str], whose: Path) -> None:
     """
     for name, source in modules.items():
         if name not in _imported:
-            option = f"--import {source}" if source.endswith(".py") or source == name else f"the {source}"
+            option = f"--import {source}" if _was_named(name, source) else f"the {source}"
             raise ArriveError(f"{whose} needs the module {name!r}: add {option}")

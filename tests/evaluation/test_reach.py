@@ -301,7 +301,7 @@ def test_a_measurement_of_one_value_does_not_replace_the_whole_protocol(trained,
         ("--time 3,x", "--time must be numbers joined by commas, such as 1,2.5, not '3,x'"),
         ("--time 3 --protocol arrival", "--time needs --protocol reach, not arrival"),
         ("--direction 0 --protocol difficulty", "--direction needs --protocol reach, not difficulty"),
-        ("--levels 3", "--levels needs --protocol difficulty"),
+        ("--levels 3 --protocol reach", "--levels is not for --protocol reach"),
         ("--protocol reach --episodes 0", "episodes must be at least 1"),
     ],
 )

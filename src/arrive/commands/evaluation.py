@@ -19,7 +19,7 @@ from arrive.config import to_dict
 from arrive.errors import ArriveError
 from arrive.evaluation import difficulty, reach
 from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cells_of, choose_cells, evaluate
-from arrive.evaluation.difficulty import difficulty_cells, policy_content
+from arrive.evaluation.difficulty import difficulty_cells, policy_content, telling
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved, measure_reach
 from arrive.learning.policy import Policy
@@ -40,8 +40,10 @@ if TYPE_CHECKING:
 
 ARRIVAL = "arrival"
 """The protocol without options: success on a policy's own levels, or on one terrain."""
-GRID_OPTIONS = {"target_distance": "distances", "direction": "directions", "time": "times"}
+ARRIVAL_LEVELS = 10
+"""Levels of a terrain that it measures at most unless --levels is given."""
 """Options of the protocol `reach`, and the fields of `ReachGrid` that they set."""
+GRID_OPTIONS = {"target_distance": "distances", "direction": "directions", "time": "times"}
 
 
 def run_eval(command: Eval) -> None:
@@ -52,8 +54,8 @@ def run_eval(command: Eval) -> None:
     protocol = command.protocol or (reach.NAME if grid else ARRIVAL)
     if grid and protocol != reach.NAME:
         raise ArriveError(f"--{next(iter(grid)).replace('_', '-')} needs --protocol reach, not {protocol}")
-    if command.levels is not None and protocol != difficulty.NAME:
-        raise ArriveError("--levels needs --protocol difficulty; choose one of the policy's own levels with --level")
+    if command.levels is not None and protocol == reach.NAME:
+        raise ArriveError("--levels is not for --protocol reach, which measures one value of each terrain")
     # Small networks gain little from torch's threads and are six times slower with them on a busy machine. One thread
     # also gives the same sums on machines with different numbers of cores.
     threads = use_threads(command.threads)
@@ -70,8 +72,9 @@ def _chosen(command: Eval, policy: Policy) -> list[tuple[Family, Cell | None]]:
 
 
 def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
-    chosen, config = _chosen(command, policy), policy.config
-    cells = [cell for family, one in chosen for cell in ([one] if one else cells_of(config, [family]))]
+    chosen = _chosen(command, policy)
+    _check_levels(command, chosen)
+    cells = [cell for family, one in chosen for cell in ([one] if one else _spread(command, policy, family))]
     if command.json:
         keep_longer(command.json, ARRIVAL, len(cells) * command.episodes, command.force)
     setting = Conditions(command.layout or "training")
@@ -91,7 +94,28 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
         print(why_stuck([result for result in answer.results if result.cell.family is family]))
     if command.json:
         write_result(command.json, _arrival_content(command, policy, setting, answer))
-    _write_pictures(command.pictures or policy.folder / "pictures", answer.episodes, films=1)
+    filmed = [
+        telling([episode for cell, episode in zip(cells, answer.episodes, strict=True) if cell.family is family])
+        for family, _ in chosen
+    ]
+    _write_pictures(command.pictures or policy.folder / "pictures", answer.episodes, filmed)
+
+
+def _spread(command: Eval, policy: Policy, family: Family) -> list[Cell]:
+    """Evenly spaced ones of the policy's own levels, from the easiest to the hardest."""
+    cells = cells_of(policy.config, [family])
+    count = min(command.levels or ARRIVAL_LEVELS, len(cells))
+    return [cells[round(i * (len(cells) - 1) / max(count - 1, 1))] for i in range(count)]
+
+
+def _check_levels(command: Eval, chosen: list[tuple[Family, Cell | None]]) -> None:
+    """Check that --levels and a single level or value are not given together.
+
+    Raises:
+        ArriveError: they are.
+    """
+    if command.levels is not None and any(cell for _, cell in chosen):
+        raise ArriveError("--levels spreads levels over a terrain's range; leave it out to measure one level or value")
 
 
 def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
@@ -100,8 +124,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     difficulty.check_levels(command.levels)
     chosen, folder = _chosen(command, policy), policy.folder
     one = {family.name: cell for family, cell in chosen if cell}
-    if one and command.levels is not None:
-        raise ArriveError("--levels spreads levels over a terrain's range; leave it out to measure one level or value")
+    _check_levels(command, chosen)
     # A single value does not show the hardest solved terrain, so it is not stored as that result.
     out = command.json or (None if one else folder / DIFFICULTY_NAME)
     if out is not None:
@@ -125,7 +148,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     if out is not None:
         write_result(out, answer.content)
     pictures = command.pictures or folder / ("pictures" if one else DIFFICULTY_PICTURES)
-    _write_pictures(pictures, answer.episodes, len(chosen), names=list(answer.results))
+    _write_pictures(pictures, answer.episodes, answer.episodes, names=list(answer.results))
     if command.json is None and not one:
         _write_card(folder)
 
@@ -230,15 +253,17 @@ def _arrival_content(command: Eval, policy: Policy, setting: Conditions, answer:
     }
 
 
-def _write_pictures(folder: Path, episodes: list[Episode], films: int, names: list[str] | None = None) -> None:
-    """Draw a strip of every episode and films of the first ones. Without a graphics library, only print a line."""
+def _write_pictures(
+    folder: Path, episodes: list[Episode], filmed: list[Episode], names: list[str] | None = None
+) -> None:
+    """Draw a strip of every episode and films of some. Without a graphics library, only print a line."""
     names = names or [episode.caption.replace(" ", "_") for episode in episodes]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, episode in zip(names, episodes, strict=True):
             picture_strip(episode, folder / f"{name}.png")
-        for name, episode in zip(names[:films], episodes, strict=False):
-            film(episode, folder / f"{name}.mp4")
+            if any(episode is one for one in filmed):
+                film(episode, folder / f"{name}.mp4")
     except GraphicsUnavailable as error:
         print(error)
     except OSError as error:

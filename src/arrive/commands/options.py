@@ -51,7 +51,8 @@ class Train:
     logger: Literal["tensorboard", "wandb"] = "tensorboard"
     """Where to log besides log.csv. `wandb` logs to both TensorBoard and Weights & Biases (pip install wandb)."""
     film_minutes: Annotated[float | None, POSITIVE] = None
-    """Film the newest policy at this interval, into the folder films/ of the run [min]."""
+    """Film the newest policy at this interval on each terrain, at the level that its robots have reached, into the
+    folder films/ of the run [min]."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,15 @@ class Eval:
     --direction or --time is given)."""
     terrain: str | None = None
     """Terrain family, several joined by commas, or `all`. NAME=VALUE sets the parameter, e.g. gap=0.4,pit=0.3 [m] or
-    slope=20 [deg]. Default: all levels of the terrains that the policy was trained on, or for `reach` the hardest value
-    that it solves."""
+    slope=20 [deg]. Default: the terrains that the policy was trained on. Without a value `arrival` and `difficulty`
+    measure `--levels`, and `reach` the hardest value that the policy solves."""
     level: int | None = None
     """One of the policy's own levels."""
     value: float | None = None
     """Value of the terrain's parameter in its unit, for a single terrain."""
     levels: Annotated[int | None, Range(1, 1000)] = None
-    """Number of evenly spaced levels, for `difficulty`; a fixed list per terrain by default."""
+    """Number of evenly spaced levels: for `arrival` of the policy's own, at most 10 by default; for `difficulty` of the
+    terrain's range, a fixed list per terrain by default."""
     target_distance: str | None = None
     """Distances of targets, joined by commas, for `reach`; 0.5,1,2,3,4,5,6 by default [m]."""
     direction: str | None = None
@@ -98,7 +100,8 @@ class Eval:
     """JSON file for the result. By default `difficulty` over all levels writes difficulty.json, and `reach` writes
     reach.json, beside each policy."""
     pictures: Path | None = None
-    """Folder for picture strips and, for `arrival`, a film; beside the policy by default."""
+    """Folder for picture strips and a film of each terrain, of the hardest level whose first robot arrived; beside the
+    policy by default."""
     force: bool = False
     """Replace the result of a longer measurement."""
 

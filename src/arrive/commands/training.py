@@ -139,12 +139,16 @@ def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog, lo
         log.flush()
 
     title = f"{config.robot}, {','.join(config.terrain.families)}, {config.preset}, {config.task.name}"
-    with closing(log), closing(Films(folder, command.film_minutes)) as films, TrainingDisplay(title, folder) as display:
+    with (
+        closing(log),
+        TrainingDisplay(title, folder) as display,
+        closing(Films(folder, command.film_minutes, display.say)) as films,
+    ):
 
         def report(result: IterationReport) -> None:
             log.write(result)
             display.update(result)
-            films.tick(result.samples)
+            films.tick(result)
 
         trainer.train(run.budget, report, before_save)
     if trainer.state.iteration:

@@ -126,11 +126,12 @@ def measure_difficulty(
             "protocol": protocol_content(policy, episodes, seed, levels),
             "commit": commit(),
         },
-        episodes=[_telling(answer.episodes) for answer in answers.values()],
+        episodes=[telling(answer.episodes) for answer in answers.values()],
     )
 
 
-def _telling(episodes: Sequence[Episode]) -> Episode:
+def telling(episodes: Sequence[Episode]) -> Episode:
+    """The hardest of a family's episodes, easiest first, that arrived; the easiest if none did."""
     solved = [episode for episode in episodes if episode.outcome == "arrived"]
     return solved[-1] if solved else episodes[0]
 

@@ -49,7 +49,7 @@ class TrainingDisplay:
             self._live = Live(console=self._console, auto_refresh=False)
             self._live.start()
         else:
-            self._print(f"{self._title}: {self._folder}")
+            self.say(f"{self._title}: {self._folder}")
         return self
 
     def __exit__(
@@ -58,7 +58,7 @@ class TrainingDisplay:
         if self._live is not None:
             self._live.stop()
         elif self._unprinted is not None:
-            self._print(plain_line(self._unprinted))
+            self.say(plain_line(self._unprinted))
 
     def update(self, report: IterationReport) -> None:
         """Show one iteration."""
@@ -68,13 +68,14 @@ class TrainingDisplay:
             return
         self._unprinted = report
         for name in report.warnings.keys() - self._warned:
-            self._print(f"warning: {report.warnings[name]}")
+            self.say(f"warning: {report.warnings[name]}")
         self._warned = set(report.warnings)
         if time.monotonic() - self._last_line_s >= self._line_every_s:
-            self._print(plain_line(report))
+            self.say(plain_line(report))
             self._last_line_s, self._unprinted = time.monotonic(), None
 
-    def _print(self, line: str) -> None:
+    def say(self, line: str) -> None:
+        """Show one line of text, in a terminal above the panel."""
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
