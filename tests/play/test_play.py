@@ -33,7 +33,7 @@ from arrive.play.stick import parse_stick
 from arrive.play.trail import WINDOW_S as WINDOW_TRAIL_S
 from arrive.play.trail import Trail
 from arrive.play.view import FIELD_OF_VIEW_RAD, HORIZON, camera_axes, first_view, pitch, sky
-from arrive.policies import DEFAULT
+from arrive.policies import DEFAULT, SHIPPED, shipped_names
 from arrive.policies.solved import solved_beside
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, ground_of
@@ -339,6 +339,23 @@ def test_the_menu_shows_solved_values_and_robots(tmp_path, monkeypatch):
         "trotter: stairs 0.1 m": ("trotter", "go2"),
         "joystick": (str(RUN), "anymal_c"),
     }
+
+
+@pytest.mark.parametrize(
+    "name", [SHIPPED / "gap", SHIPPED / "gap" / "policy.pt", Path("link")], ids=["folder", "file", "link"]
+)
+def test_the_menu_has_a_policy_that_was_named_by_its_path_once(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    Path("link").symlink_to(SHIPPED / "gap")
+    expected = {*shipped_names(), str(name)} - {"gap"}
+    assert {choice.name for choice in choices(open_skill(str(name)))} == expected
+
+
+def test_policies_of_the_same_name_have_different_labels(tmp_path):
+    """The page tells them apart by their labels."""
+    mine = shutil.copytree(SHIPPED / "gap", tmp_path / "gap")
+    labels = [choice.label for choice in choices(open_skill(str(mine)))]
+    assert len(labels) == len(set(labels)) == len(shipped_names()) + 1
 
 
 def test_the_menu_of_robots_is_shown_if_there_are_several(playground, tmp_path, monkeypatch):

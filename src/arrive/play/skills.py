@@ -1,5 +1,6 @@
 """What a policy can do: its training terrain, and the hardest value that it solves according to its measurement."""
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +11,7 @@ from arrive.deployment.opening import open_policy
 from arrive.deployment.policy_file import PolicyFile
 from arrive.errors import ArriveError
 from arrive.files import read_json
-from arrive.policies import CONFIG_NAME, DEFAULT, find_policy, shipped_names
+from arrive.policies import CONFIG_NAME, DEFAULT, EXPORTED, POLICY_NAME, find_policy, shipped_names
 from arrive.policies.solved import TELLING, amounts, solved_beside, solved_in
 from arrive.terrain import FAMILIES, Layout
 from arrive.terrain.ground import Ground
@@ -61,8 +62,10 @@ class Skill:
 def open_skill(name: str | None) -> Skill:
     """Read a policy and its measurement; see `open_policy`."""
     name = name or DEFAULT
-    policy = open_policy(name)
-    return Skill(name, policy, solved_in(policy.meta.get("evaluation")))
+    policy, path = open_policy(name), find_policy(name)
+    # An exported file may have been measured since.
+    beside = solved_beside(path) if path.suffix == EXPORTED else {}
+    return Skill(name, policy, beside or solved_in(policy.meta.get("evaluation")))
 
 
 @dataclass(frozen=True)
@@ -77,10 +80,29 @@ class Choice:
 
 
 def choices(current: Skill) -> tuple[Choice, ...]:
-    """The policies in the menu: the shipped ones with a readable configuration, and the current one."""
-    shipped = {name: robot for name in shipped_names() if (robot := _robot_of(policies.SHIPPED / name))}
+    """The policies in the menu: the shipped ones with a readable configuration, and the current one.
+
+    Each is there once, also if the current one is a shipped one that was named by its path, and no two have the same
+    label.
+    """
+    own = _file_of(find_policy(current.name))
+    shipped = {
+        name: robot
+        for name in shipped_names()
+        if _file_of(policies.SHIPPED / name) != own and (robot := _robot_of(policies.SHIPPED / name))
+    }
     robots = shipped | {current.name: current.config.robot}
-    return tuple(Choice(name, robot, _label(name)) for name, robot in sorted(robots.items()))
+    labels = {name: _label(name, current.solved if name == current.name else None) for name in robots}
+    often = Counter(labels.values())
+    return tuple(
+        Choice(name, robot, labels[name] if often[labels[name]] == 1 else f"{labels[name]} ({name})")
+        for name, robot in sorted(robots.items())
+    )
+
+
+def _file_of(path: Path) -> Path:
+    """The file of a policy that is named by it or by its folder."""
+    return (path / POLICY_NAME if path.is_dir() else path).resolve()
 
 
 def _robot_of(run: Path) -> str | None:
@@ -90,10 +112,15 @@ def _robot_of(run: Path) -> str | None:
         return None
 
 
-def _label(name: str) -> str:
+def _label(name: str, known: dict[str, float] | None) -> str:
+    """The label of a policy.
+
+    Args:
+        known: the values that it solves, if they were read already.
+    """
     short = Path(name).name
     try:
-        solved = amounts(solved_beside(find_policy(name)))
+        solved = amounts(solved_beside(find_policy(name)) if known is None else known)
     except ArriveError:  # the policy itself can still be played
         return f"{short}: measurement damaged"
     if not solved:
