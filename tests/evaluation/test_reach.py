@@ -12,15 +12,20 @@ import torch
 import small_results
 from arrive.build import build_env
 from arrive.cli import main
+from arrive.commands import evaluation
+from arrive.commands.policies import read_policy
 from arrive.commands.results import effort_of, keep_longer
 from arrive.config import Config, override
 from arrive.deployment import goals
 from arrive.errors import ArriveError
 from arrive.evaluation import arrival, reach
 from arrive.evaluation.arrival import Arrival, Cell, choose_cells, evaluate
-from arrive.evaluation.difficulty import TRIAL, randomised
+from arrive.evaluation.difficulty import TRIAL, max_at, randomised
 from arrive.evaluation.reach import ReachGrid
 from arrive.learning.policy import Policy
+from arrive.play.skills import open_skill
+from arrive.policies import SHIPPED
+from arrive.policies.solved import solved_beside
 from arrive.presets import get_preset
 from arrive.report.card import write_card
 from arrive.report.reach import direction_table, distance_table, protocol_words, waiting_words
@@ -179,12 +184,13 @@ class TestMeasurement:
 
     def test_the_ground_is_the_hardest_solved_or_a_middle_one(self, tmp_path):
         gap = get_family("gap")
-        assert reach.hardest_solved(tmp_path, gap, 3) == pytest.approx((gap.lowest + gap.highest) / 2)
+        middle = pytest.approx((gap.lowest + gap.highest) / 2)
+        assert reach.hardest_solved(solved_beside(tmp_path), gap, 3) == middle
         (tmp_path / "difficulty.json").write_text(json.dumps(small_results.difficulty()))
-        assert reach.hardest_solved(tmp_path, gap, 3) == 0.3
+        assert reach.hardest_solved(solved_beside(tmp_path), gap, 3) == 0.3
         (tmp_path / "difficulty.json").write_text("{}")
         with pytest.raises(ArriveError, match=r"difficulty.json holds no result of 'difficulty'"):
-            reach.hardest_solved(tmp_path, gap, 3)
+            solved_beside(tmp_path)
 
 
 class TestChoosing:
@@ -281,6 +287,25 @@ def test_the_result_of_an_exported_file_goes_to_a_folder_of_its_name(exported, t
     main(["eval", str(file), "--protocol", "reach", *journey.split()])
     assert (tmp_path / "robot" / "reach.json").is_file()
     assert not (tmp_path / "reach.json").exists()
+
+
+def test_an_exported_file_solves_what_was_measured_of_it_or_else_of_its_run(exported, tmp_path):
+    """Wherever the value is used: `reach`, `play` and the report."""
+    file = tmp_path / "robot.onnx"
+    shutil.copytree(SHIPPED / "gap", tmp_path / "gap")
+    main(["export", str(tmp_path / "gap"), "-o", str(file)])
+    inside = solved_beside(SHIPPED / "gap")["gap"]
+
+    def used() -> tuple[float, ...]:
+        report = read_run(file).results()["gap"]
+        return evaluation._solved(read_policy(file))["gap"], open_skill(str(file)).solved["gap"], max_at(report, 0.95)
+
+    assert used() == (inside,) * 3
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "difficulty.json").write_text(json.dumps(small_results.difficulty()))
+    assert used() == (0.3,) * 3
+    (tmp_path / "difficulty.json").write_text("of something else")
+    assert used() == (0.3,) * 3
 
 
 def test_a_measurement_of_one_value_does_not_replace_the_whole_protocol(trained, capsys, monkeypatch, tmp_path):

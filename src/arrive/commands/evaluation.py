@@ -25,7 +25,8 @@ from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort,
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.physics.device import choose_device, describe_device
-from arrive.policies import CONFIG_NAME, DIFFICULTY_NAME, find_policy
+from arrive.policies import CONFIG_NAME, DIFFICULTY_NAME, EXPORTED, find_policy
+from arrive.policies.solved import solved_beside, solved_in
 from arrive.render.graphics import GraphicsUnavailable
 from arrive.render.pictures import film, picture_strip
 from arrive.report.card import write_card
@@ -42,8 +43,8 @@ ARRIVAL = "arrival"
 """The protocol without options: success on a policy's own levels, or on one terrain."""
 ARRIVAL_LEVELS = 10
 """Levels of a terrain that it measures at most unless --levels is given."""
-"""Options of the protocol `reach`, and the fields of `ReachGrid` that they set."""
 GRID_OPTIONS = {"target_distance": "distances", "direction": "directions", "time": "times"}
+"""Options of the protocol `reach`, and the fields of `ReachGrid` that they set."""
 
 
 def run_eval(command: Eval) -> None:
@@ -162,10 +163,10 @@ def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
     grid = ReachGrid(**given, layout=command.layout or "evaluation")
     grid.check()
     check_policy(policy)
-    folder, levels = policy.folder, policy.config.terrain.levels
+    folder, levels, chosen = policy.folder, policy.config.terrain.levels, _chosen(command, policy)
+    solved = {} if all(cell for _, cell in chosen) else _solved(policy)
     grounds = [
-        Ground(family, cell.value if cell else hardest_solved(policy.path.parent, family, levels))
-        for family, cell in _chosen(command, policy)
+        Ground(family, cell.value if cell else hardest_solved(solved, family, levels)) for family, cell in chosen
     ]
     out = command.json or folder / REACH_NAME
     keep_longer(out, reach.NAME, effort(grid, command.episodes, len(grounds)), command.force)
@@ -185,6 +186,17 @@ def _evaluate_reach(command: Eval, policy: Policy, threads: int) -> None:
     write_result(out, content)
     if command.json is None:
         _write_card(folder)
+
+
+def _solved(policy: Policy) -> dict[str, float]:
+    """The hardest values that a policy solves: as measured beside it, or else as its exported file says."""
+    solved = solved_beside(policy.path)
+    if solved or policy.path.suffix != EXPORTED:
+        return solved
+    # Imported here because only exported files need onnxruntime.
+    from arrive.deployment.policy_file import read_policy_file
+
+    return solved_in(read_policy_file(policy.path).meta["evaluation"])
 
 
 def _write_card(folder: Path) -> None:

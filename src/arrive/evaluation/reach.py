@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,7 +16,6 @@ from arrive.evaluation.difficulty import TRIAL, VARIANTS, policy_content, random
 from arrive.evaluation.wilson import wilson_interval
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
-from arrive.policies.solved import solved_beside
 from arrive.task.final import PositionConfig
 from arrive.terms import hold_time
 from arrive.terrain import Layout
@@ -122,17 +120,14 @@ def check_policy(policy: Policy) -> PositionConfig:
     return task
 
 
-def hardest_solved(folder: Path, family: Family, levels: int) -> float:
-    """The hardest value that a run was measured to solve in 95 % of the episodes, or that of a middle level.
+def hardest_solved(solved: dict[str, float], family: Family, levels: int) -> float:
+    """The hardest value that a policy was measured to solve, or that of a middle level.
 
     Args:
-        folder: of the run.
+        solved: by family, see `arrive.policies.solved`.
         levels: number of the policy's own levels.
-
-    Raises:
-        ArriveError: the measurement is damaged.
     """
-    return solved_beside(folder).get(family.name, family.value(levels // 2, levels))
+    return solved.get(family.name, family.value(levels // 2, levels))
 
 
 def measure_reach(

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from arrive.policies import DIFFICULTY_NAME
+from arrive.policies import DIFFICULTY_NAME, EXPORTED, results_folder
 from arrive.results.read import read_if_there
 from arrive.terrain import FAMILIES
 from arrive.terrain.ground import Ground, varies
@@ -24,12 +24,14 @@ def solved_in(measurement: Any) -> dict[str, float]:
 
 
 def solved_beside(path: Path) -> dict[str, float]:
-    """The same for a run folder or a file in it. Empty if it was not measured. The policy is not read.
+    """The same for a run folder or a file in it, or an exported file with the results of measuring it beside it.
+
+    Empty if it was not measured. The policy is not read.
 
     Raises:
         ArriveError: its measurement is damaged.
     """
-    run = path if path.is_dir() else path.parent
+    run = path if path.is_dir() else results_folder(path) if path.suffix == EXPORTED else path.parent
     measured = read_if_there(run / DIFFICULTY_NAME, "difficulty")
     return {} if measured is None else solved_in(measured)
 

@@ -10,7 +10,7 @@ from arrive.evaluation.arrival import Cell, CellResult
 from arrive.evaluation.reach import REACH_NAME
 from arrive.learning.logs import LOG_NAME, read_log
 from arrive.learning.rundir import read_config, samples_before
-from arrive.policies import DIFFICULTY_NAME, EXPORTED
+from arrive.policies import DIFFICULTY_NAME, EXPORTED, results_folder
 from arrive.report.text import plain
 from arrive.results.read import check_result, read_if_there
 from arrive.terrain import FAMILIES, get_family
@@ -119,7 +119,7 @@ def _results(name: str, entry: dict[str, Any]) -> list[CellResult]:
 
 
 def read_run(path: Path) -> Run:
-    """Read a run's folder, also by a file in it, or what an exported file says of its run.
+    """Read a run's folder, also by a file in it, or an exported file with the results of measuring it.
 
     Raises:
         ArriveError: no run, or a file that cannot be read.
@@ -129,22 +129,29 @@ def read_run(path: Path) -> Run:
     folder = path if path.is_dir() else path.parent
     _, record = read_config(folder)
     difficulty = _read_families(folder / DIFFICULTY_NAME, "difficulty")
-    reach = _read_families(folder / REACH_NAME, "reach")
-    strips = {
-        name: folder / DIFFICULTY_PICTURES / f"{name}.png" for name in (difficulty["families"] if difficulty else ())
-    }
     return Run(
         name=shown(folder.resolve().name),
         record=record,
         log=read_log(folder) if (folder / LOG_NAME).is_file() else {},
         difficulty=difficulty,
-        pictures={name: path for name, path in strips.items() if path.is_file()},
-        reach=reach,
+        pictures=_strips(folder, difficulty),
+        reach=_read_families(folder / REACH_NAME, "reach"),
     )
 
 
+def _strips(folder: Path, difficulty: dict[str, Any] | None) -> dict[str, Path]:
+    """Picture strips by family."""
+    paths = {
+        name: folder / DIFFICULTY_PICTURES / f"{name}.png" for name in (difficulty["families"] if difficulty else ())
+    }
+    return {name: path for name, path in paths.items() if path.is_file()}
+
+
 def _read_exported(path: Path) -> Run:
-    """An exported file has no log and no pictures, and does not tell how the robots spent their time."""
+    """An exported file has no log. Its results are in the folder of its name, if it was measured itself.
+
+    Otherwise it has those of its run, without pictures and without how the robots spent their time.
+    """
     # Imported here because only this needs onnxruntime.
     from arrive.deployment.policy_file import read_policy_file
 
@@ -157,8 +164,17 @@ def _read_exported(path: Path) -> Run:
     if measured is not None:
         check_result(measured, "exported", path)
         _check_families(measured, path)
-    difficulty = measured and measured | {"policy": {"samples": training["samples"], "usage": {}}}
-    return Run(name=shown(path.stem), record=record, log={}, difficulty=difficulty, pictures={})
+    folder = results_folder(path)
+    beside = _read_families(folder / DIFFICULTY_NAME, "difficulty")
+    inside = measured and measured | {"policy": {"samples": training["samples"], "usage": {}}}
+    return Run(
+        name=shown(path.stem),
+        record=record,
+        log={},
+        difficulty=beside or inside,
+        pictures=_strips(folder, beside),
+        reach=_read_families(folder / REACH_NAME, "reach"),
+    )
 
 
 def _read_families(path: Path, kind: str) -> dict[str, Any] | None:
