@@ -7,8 +7,14 @@ WARP := $(VENV)/.warp
 
 .PHONY: demo test lint coverage docs constraints audit clean
 
+# A second time it resumes the run, which does nothing where its 6 minutes are spent.
 demo: $(STAMP)
-	$(BIN)/arrive train flat --minutes 6 --out runs/demo
+	@if [ -f runs/demo/checkpoint.pt ]; then \
+		echo "make demo: resuming runs/demo, which was begun before; to begin anew: rm -r runs/demo"; \
+		$(BIN)/arrive train flat --minutes 6 --resume runs/demo; \
+	else \
+		$(BIN)/arrive train flat --minutes 6 --out runs/demo; \
+	fi
 	$(BIN)/arrive eval runs/demo --episodes 1000
 
 test: $(STAMP) $(WARP)
