@@ -660,7 +660,9 @@ def test_all_names_of_a_policy_give_the_same_policy(tmp_path, exported):
 def test_results_of_a_policy_go_to_its_own_folder(exported):
     assert (load_policy(RUN / "policy.pt").folder, load_policy(RUN).name) == (RUN, "joystick")
     assert read_policy(exported).folder == exported.with_suffix("")
-    assert policies.results_folder(policies.PACKED / "gap" / "policy.pt") == Path("runs/gap"), "not into the package"
+    assert policies.results_folder(policies.SHIPPED / "gap" / "policy.pt") == Path("runs/shipped/gap"), (
+        "not into the package"
+    )
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,8 @@ CURVES_NAME = "curves.png"
 """The curves of its training, beside it."""
 RUNS = Path("runs")
 """Where `arrive train` puts new runs."""
+OWN_RESULTS = RUNS / "shipped"
+"""Where the user's measurements of shipped policies are put."""
 PACKED = Path(__file__).parent / "shipped"
 """Where an installed package has the shipped policies; see setup.py."""
 SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parents[3] / "policies"
@@ -54,10 +56,11 @@ def find_policy(name: Path | str) -> Path:
 def results_folder(path: Path) -> Path:
     """Folder of a policy's results: its run folder, or for an exported file a folder of the same name beside it.
 
-    For policies of an installed package, which is not written to, it is a folder of their name in `RUNS`.
+    For shipped policies that were named by their name it is a folder of that name in `OWN_RESULTS`, because neither an
+    installed package nor the tracked files of a checkout should change.
     """
     folder = path.with_suffix("") if path.suffix == EXPORTED else path.parent
-    return RUNS / folder.name if PACKED in folder.parents else folder
+    return OWN_RESULTS / folder.name if folder.parent == SHIPPED else folder
 
 
 def _runs_in(folder: Path) -> list[str]:
