@@ -11,7 +11,7 @@ import tyro
 from arrive import __version__
 from arrive.commands.actuator import Actuator
 from arrive.commands.known import known
-from arrive.commands.limits import check_limits
+from arrive.commands.limits import check_limits, check_outputs
 from arrive.commands.options import (
     Bench,
     Drive,
@@ -85,6 +85,7 @@ def main(arguments: list[str] | None = None) -> None:
         _check_empty(words)
         _check_graphics()
         check_limits(command)
+        check_outputs(command)
         for source in imports:
             import_module(source)
         import_packages()

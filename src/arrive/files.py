@@ -56,6 +56,27 @@ def _finish(temporary: Path, path: Path) -> None:
     os.replace(temporary, path)
 
 
+def check_writable(path: Path) -> None:
+    """Check that a file can be written before the work for it is done. Nothing is changed.
+
+    Raises:
+        ArriveError: it cannot.
+    """
+    try:
+        path = Path(os.path.realpath(path))
+        if path.is_dir():
+            raise IsADirectoryError("it is a folder")
+        if path.exists() and not path.is_file():
+            return
+        folder = next(parent for parent in path.parents if parent.exists())
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{path.name}.", suffix=f"{TEMPORARY}{path.suffix}"):
+            pass
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    except ValueError as error:
+        raise ArriveError(f"cannot write {str(path)!r}: {error}") from error
+
+
 def cannot_write(path: Path, error: OSError) -> ArriveError:
     """The error for a file that cannot be written."""
     return ArriveError(f"cannot write {path}: {error.strerror or error}. Free some space or choose another folder.")

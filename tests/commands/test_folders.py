@@ -93,7 +93,7 @@ COMMANDS = {
     "eval": "eval run --level 0 --episodes 1 --threads 1 --json run/eval.json",
     "export": "export run -o run/policy.onnx",
     "drive": "drive run --script drive.csv --log run/drive.npz",
-    "record": "actuator record -o run/log.csv --seconds 0.5",
+    "record": "actuator record -o run/record.csv --seconds 0.5",
 }
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from arrive.commands.limits import COUNT, INDEX, NETWORK, PICTURE, POSITIVE, SEED, Suffix
+from arrive.commands.limits import COUNT, FITTED, INDEX, NETWORK, PICTURE, POSITIVE, SEED, Suffix
 from arrive.errors import ArriveError
 from arrive.fields import Range
 
@@ -39,6 +39,8 @@ class Record:
     """Time between samples, a multiple of 0.2 ms [s]."""
     seed: Annotated[int, SEED] = 1
     """Seed of targets and loads."""
+    force: bool = False
+    """Replace a file that exists."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Fit:
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV or NPZ files with time [s], target, position [rad], velocity [rad/s] and torque [N m]."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), NETWORK] = Path("drive.safetensors")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), FITTED] = Path("drive.safetensors")
     """File to write. A picture of predicted and measured torque is written beside it."""
     period_s: Annotated[float, PERIOD] = 0.005
     """Physics step of the simulation that will use the network; a multiple of the logs' period [s]."""
@@ -69,6 +71,8 @@ class Fit:
     """Seed of the initial weights and the order of the data."""
     threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
+    force: bool = False
+    """Replace a file that exists."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,8 @@ class Show:
     """Joint of the robot whose motor that is; the first by default."""
     inertia: Annotated[float, POSITIVE] = 0.2
     """Inertia of the load in the step response, including the rotor [kg m^2]."""
+    force: bool = False
+    """Replace a file that exists."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,8 @@ class Import:
     """Time between two calls of the network [s]."""
     data: str = ""
     """Description of the network, its authors and its licence; the file's name by default."""
+    force: bool = False
+    """Replace a file that exists."""
 
 
 Action = (

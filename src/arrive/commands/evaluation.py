@@ -22,6 +22,7 @@ from arrive.evaluation.arrival import Arrival, Cell, CellResult, Conditions, cel
 from arrive.evaluation.difficulty import difficulty_cells, policy_content, telling
 from arrive.evaluation.episode import Episode
 from arrive.evaluation.reach import REACH_NAME, ReachGrid, check_policy, effort, hardest_solved, measure_reach
+from arrive.files import check_writable
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.physics.device import choose_device, describe_device
@@ -79,6 +80,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
     if command.json:
         keep_longer(command.json, ARRIVAL, len(cells) * command.episodes, command.force)
     setting = Conditions(command.layout or "training")
+    pictures = _picture_folder(command.pictures or policy.folder / "pictures")
     with Progress(transient=True) as bar:
         steps = bar.add_task(f"{len(cells)} x {command.episodes} episodes", total=None)
         answer = evaluate(
@@ -99,7 +101,7 @@ def _evaluate_arrival(command: Eval, policy: Policy, threads: int) -> None:
         telling([episode for cell, episode in zip(cells, answer.episodes, strict=True) if cell.family is family])
         for family, _ in chosen
     ]
-    _write_pictures(command.pictures or policy.folder / "pictures", answer.episodes, filmed)
+    _write_pictures(pictures, answer.episodes, filmed)
 
 
 def _spread(command: Eval, policy: Policy, family: Family) -> list[Cell]:
@@ -131,6 +133,7 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
     if out is not None:
         rows = sum(1 if family.name in one else len(difficulty_cells(family, command.levels)) for family, _ in chosen)
         keep_longer(out, difficulty.NAME, rows * command.episodes, command.force)
+    pictures = _picture_folder(command.pictures or folder / ("pictures" if one else DIFFICULTY_PICTURES))
     with Progress() as bar:
         steps = bar.add_task(f"{policy.name}: {command.episodes} episodes per level", total=None)
         answer = difficulty.measure_difficulty(
@@ -148,7 +151,6 @@ def _evaluate_difficulty(command: Eval, policy: Policy, threads: int) -> None:
         print(why_stuck(results))
     if out is not None:
         write_result(out, answer.content)
-    pictures = command.pictures or folder / ("pictures" if one else DIFFICULTY_PICTURES)
     _write_pictures(pictures, answer.episodes, answer.episodes, names=list(answer.results))
     if command.json is None and not one:
         _write_card(folder)
@@ -263,6 +265,12 @@ def _arrival_content(command: Eval, policy: Policy, setting: Conditions, answer:
         },
         "commit": commit(),
     }
+
+
+def _picture_folder(folder: Path) -> Path:
+    """The same folder; refuse one that cannot be written, before the work."""
+    check_writable(folder / "picture.png")
+    return folder
 
 
 def _write_pictures(

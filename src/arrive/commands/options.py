@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from arrive.commands.limits import COUNT, INDEX, JSON, POSITIVE, SEED, Suffix
+from arrive.commands.limits import COUNT, FIGURE, INDEX, JSON, PAGE, POSITIVE, SEED, Suffix
 from arrive.fields import Range
 
 
@@ -41,7 +41,7 @@ class Train:
     start_from: Path | None = None
     """Run whose networks the new run starts from. A policy file, an exported file or a shipped policy has no critic, so
     only the actor is taken."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the run; a new one under runs/ by default."""
     config: Path | None = None
     """A run's config.json, or its folder, to use its configuration instead of a preset's."""
@@ -126,10 +126,10 @@ class Report:
     """Result of benchmarks/stability.py; the one under runs/stability/ by default, if it is there."""
     window: Path | None = None
     """Result of benchmarks/time_window.py; the one under runs/time_window/ by default, if it is there."""
-    out: Annotated[Path, Suffix((".html", ".htm"))] = Path("report.html")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), PAGE] = Path("report.html")
     """File for the page. The JSON file has the same name with the suffix .json."""
     force: bool = False
-    """Replace the JSON file even if it is not from a report."""
+    """Replace the files even if they are not from a report."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Energy:
     """Seed of friction, payload, starts and noise."""
     threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
-    json: Annotated[Path, JSON] = Path("energy.json")
+    json: Annotated[Path, FIGURE] = Path("energy.json")
     """File for the result; the picture has the same name and ends in .png."""
     force: bool = False
     """Replace the result of a longer measurement."""
@@ -178,7 +178,7 @@ class Gait:
     """Seed of friction, payload, starts and noise."""
     threads: Annotated[int, INDEX] = 0
     """CPU threads; 0 takes every CPU."""
-    json: Annotated[Path, JSON] = Path("gait.json")
+    json: Annotated[Path, FIGURE] = Path("gait.json")
     """File for the result; the picture has the same name and ends in .png."""
     force: bool = False
     """Replace the result of a longer measurement."""
@@ -202,6 +202,8 @@ class Drive:
     can."""
     log: Annotated[Path | None, Suffix((".npz",))] = None
     """File (.npz) for all inputs and commands of the controller, for replay."""
+    force: bool = False
+    """Replace a file that exists."""
     seed: Annotated[int, SEED] = 1
     """Seed of random terrain."""
 
@@ -240,6 +242,8 @@ class Showreel:
     the shipped policy that solves the hardest value."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), Suffix((".webp",))] = Path("showreel.webp")
     """File to write, at most 3 MB."""
+    force: bool = False
+    """Replace a file that exists."""
 
 
 @dataclass(frozen=True)
@@ -250,6 +254,8 @@ class Export:
     """Run folder, policy file, exported file or name of a shipped policy, see `arrive list policies`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"]), Suffix((".onnx",))] = Path("policy.onnx")
     """File to write."""
+    force: bool = False
+    """Replace a file that exists."""
 
 
 @dataclass(frozen=True)

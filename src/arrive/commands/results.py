@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from arrive.errors import ArriveError
-from arrive.files import read_json
+from arrive.files import check_writable, read_json
 from arrive.results.read import protocol_of
 
 
@@ -40,8 +40,9 @@ def keep_others(path: Path, known: Callable[[dict[str, Any]], bool], force: bool
         The content that will be replaced; empty if there is no file, or with `force`.
 
     Raises:
-        ArriveError: the file at `path` holds something else.
+        ArriveError: the file at `path` holds something else, or cannot be written.
     """
+    check_writable(path)
     if force or not path.is_file():
         return {}
     try:
