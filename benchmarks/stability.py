@@ -9,17 +9,18 @@ the preset as it is, with half of its steps, with episodes of 20 s, with bootstr
 
 All runs have the same number of samples. A seed succeeds if its policy reaches the success rate `--goal` by the
 protocol of maximum difficulty. The same command continues an interrupted benchmark. stability.json has the results so
-far; `arrive report --stability` shows them.
+far and is enough to continue from; `arrive report --stability` shows it.
 """
 
 import statistics
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
 import tyro
-from trainings import LAST_SHARE, Training, command, markdown
+from trainings import LAST_SHARE, Training, command, earlier_runs, markdown
 
 from arrive.config import Config, override
 from arrive.files import write_json
@@ -83,23 +84,31 @@ def main(arguments: Arguments) -> None:
     """Train and measure the missing runs, one after the other, and print the table."""
     torch.set_num_threads(1)
     choices = variants(override(get_preset(arguments.preset), arguments.set))
-    runs: list[dict[str, Any]] = []
+    path = arguments.out / "stability.json"
+
+    def so_far() -> list[dict[str, Any]]:
+        return earlier_runs(path, content(arguments, choices, [])["protocol"], ("grounds", "seeds", "goal"))
+
     # Seeds in the outer loop, so that an interrupted benchmark has complete comparisons.
-    for seed in arguments.seeds:
-        for ground in arguments.grounds:
-            for name, variant in choices.items():
-                folder = arguments.out / f"{ground} {name} {seed}".replace(" ", "-").replace("=", "-")
-                settings, module = (*arguments.set, *variant.settings), variant.module
-                training = Training(
-                    folder, ground, seed, arguments.samples, arguments.preset, settings, arguments.threads, module
-                )
-                policy = training.finish()
-                measured = training.measure(policy, arguments.episodes)
-                result = {"ground": ground, "variant": name, "seed": seed, "samples": policy.samples}
-                runs.append(result | {key: measured[key] for key in ("success", "interval")} | training.critic())
-                write_json(arguments.out / "stability.json", content(arguments, choices, runs))
-                print(f"{ground}, {name}, seed {seed}: {measured['success']:.1%}", flush=True)
-    print(table(arguments, choices, runs))
+    for seed, ground, name in product(arguments.seeds, arguments.grounds, choices):
+        if (seed, ground, name) not in [(run["seed"], run["ground"], run["variant"]) for run in so_far()]:
+            run = run_of(arguments, choices[name], name, ground, seed)
+            write_json(path, content(arguments, choices, [*so_far(), run]))
+            print(f"{ground}, {name}, seed {seed}: {run['success']:.1%}", flush=True)
+    print(table(arguments, choices, so_far()))
+
+
+def run_of(arguments: Arguments, variant: Variant, name: str, ground: str, seed: int) -> dict[str, Any]:
+    """Train and measure one run."""
+    folder = arguments.out / f"{ground} {name} {seed}".replace(" ", "-").replace("=", "-")
+    settings = (*arguments.set, *variant.settings)
+    training = Training(
+        folder, ground, seed, arguments.samples, arguments.preset, settings, arguments.threads, variant.module
+    )
+    policy = training.finish()
+    measured = training.measure(policy, arguments.episodes)
+    origin = {"ground": ground, "variant": name, "seed": seed, "samples": policy.samples, "commit": policy.commit}
+    return origin | {key: measured[key] for key in ("success", "interval")} | training.critic()
 
 
 def content(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -112,8 +121,8 @@ def content(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> 
             "preset": arguments.preset,
             "samples": arguments.samples,
             "goal": arguments.goal,
-            "grounds": list(arguments.grounds),
-            "seeds": list(arguments.seeds),
+            "grounds": list(dict.fromkeys([run["ground"] for run in runs])),
+            "seeds": sorted({run["seed"] for run in runs}),
             "episodes": arguments.episodes,
             "set": list(arguments.set),
             "last_share": LAST_SHARE,
@@ -126,9 +135,11 @@ def content(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> 
 def table(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> str:
     """A row per ground and variant."""
     rows = []
-    for ground in arguments.grounds:
+    for ground in dict.fromkeys(run["ground"] for run in runs):
         for name, variant in choices.items():
             mine = [run for run in runs if (run["ground"], run["variant"]) == (ground, name)]
+            if not mine:
+                continue
             shares = [run["success"] for run in mine]
             good = sum(share >= arguments.goal for share in shares)
             critic = (statistics.mean(run[key] for run in mine) for key in ("explained_variance", "value_loss"))

@@ -5,22 +5,22 @@
 
 With T_r = T the task is P_c. All episodes have the preset's longest time, so that every window fits. The results are
 success, arrival time, path and speed by the protocol of maximum difficulty, and the cost of walking on flat ground. The
-same command continues an interrupted benchmark. time_window.json has the results so far; `arrive report --window` shows
-them.
+same command continues an interrupted benchmark, and more windows or seeds are added to it. time_window.json has the
+results so far and is enough to continue from; `arrive report --window` shows it.
 """
 
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
 import tyro
-from trainings import Training, command, markdown
+from trainings import Training, command, earlier_runs, markdown
 
 from arrive.config import override
 from arrive.evaluation.energy import measure_energy
-from arrive.files import read_json, write_json
-from arrive.learning.policy import Policy
+from arrive.files import write_json
 from arrive.learning.rundir import commit
 from arrive.presets import get_preset
 
@@ -57,44 +57,33 @@ def main(arguments: Arguments) -> None:
     windows = arguments.windows or (*(w for w in (0.5, 1.0, 2.0, 4.0) if w < episode_s), episode_s)
     if max(windows) > episode_s:
         raise SystemExit(f"--windows must be at most the episode of {episode_s:g} s, not {max(windows):g}")
-    runs: list[dict[str, Any]] = []
-    for seed in arguments.seeds:
-        for window in windows:
-            folder = arguments.out / f"{arguments.ground}-{window:g}-{seed}".replace("=", "-")
-            settings = (*arguments.set, f"task.episode_min_s={episode_s}", f"task.reward_window_s={window}")
-            training = Training(
-                folder, arguments.ground, seed, arguments.samples, arguments.preset, settings, arguments.threads
-            )
-            policy = training.finish()
-            measured = training.measure(policy, arguments.episodes)
-            runs.append(result(window, seed, policy, measured, walking_costs(arguments, folder, policy)))
-            write_json(arguments.out / "time_window.json", content(arguments, episode_s, runs))
-            print(f"T_r {window:g} s, seed {seed}: {measured['success']:.1%}", flush=True)
-    print(table(runs))
+    path = arguments.out / "time_window.json"
+
+    def so_far() -> list[dict[str, Any]]:
+        return earlier_runs(path, content(arguments, episode_s, [])["protocol"], ("seeds",))
+
+    for seed, window in product(arguments.seeds, windows):
+        if (seed, window) not in [(run["seed"], run["window_s"]) for run in so_far()]:
+            run = run_of(arguments, episode_s, window, seed)
+            runs = sorted([*so_far(), run], key=lambda one: (one["seed"], one["window_s"]))
+            write_json(path, content(arguments, episode_s, runs))
+            print(f"T_r {window:g} s, seed {seed}: {run['success']:.1%}", flush=True)
+    print(table(so_far()))
 
 
-def walking_costs(arguments: Arguments, folder: Path, policy: Policy) -> list[dict[str, Any]]:
-    """One row per speed, as from `arrive energy`. Existing results are reused."""
-    path = folder / "energy.json"
-    wanted = {
-        "samples": policy.samples,
-        "told": list(arguments.speeds),
-        "robots": arguments.robots,
-        "distance_m": arguments.distance,
-    }
-    if path.is_file() and wanted.items() <= (known := read_json(path)).items():
-        return known["rows"]
-    answer = measure_energy(policy, arguments.speeds, arguments.robots, arguments.distance, 1, arguments.threads)
-    write_json(path, wanted | {"rows": answer["speeds"]})
-    return answer["speeds"]
-
-
-def result(window: float, seed: int, policy: Policy, measured: dict[str, Any], energy: list) -> dict[str, Any]:
-    """Results of one run. Times and paths are quartiles, or None if no robot arrived."""
-    usage = measured["usage"]
-    figures = {key: usage.get(key) for key in ("arrival_time_s", "path_length_m", "speed_profile", "motion")}
-    own = {"window_s": window, "seed": seed, "samples": policy.samples, "energy": energy}
-    return own | {key: measured[key] for key in ("success", "interval")} | figures
+def run_of(arguments: Arguments, episode_s: float, window: float, seed: int) -> dict[str, Any]:
+    """Train and measure one run. Times and paths are quartiles, or None if no robot arrived."""
+    folder = arguments.out / f"{arguments.ground}-{window:g}-{seed}".replace("=", "-")
+    settings = (*arguments.set, f"task.episode_min_s={episode_s}", f"task.reward_window_s={window}")
+    training = Training(
+        folder, arguments.ground, seed, arguments.samples, arguments.preset, settings, arguments.threads
+    )
+    policy = training.finish()
+    measured = training.measure(policy, arguments.episodes)
+    costs = measure_energy(policy, arguments.speeds, arguments.robots, arguments.distance, 1, arguments.threads)
+    usage = {key: measured["usage"].get(key) for key in ("arrival_time_s", "path_length_m", "speed_profile", "motion")}
+    own = {"window_s": window, "seed": seed, "samples": policy.samples, "commit": policy.commit}
+    return own | {"energy": costs["speeds"]} | {key: measured[key] for key in ("success", "interval")} | usage
 
 
 def content(arguments: Arguments, episode_s: float, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -108,9 +97,13 @@ def content(arguments: Arguments, episode_s: float, runs: list[dict[str, Any]]) 
             "samples": arguments.samples,
             "episodes": arguments.episodes,
             "episode_s": episode_s,
-            "seeds": list(arguments.seeds),
+            "seeds": sorted({run["seed"] for run in runs}),
             "set": list(arguments.set),
-            "energy": {"robots": arguments.robots, "distance_m": arguments.distance},
+            "energy": {
+                "speeds": list(arguments.speeds),
+                "robots": arguments.robots,
+                "distance_m": arguments.distance,
+            },
         },
         "command": command(),
         "commit": commit(),

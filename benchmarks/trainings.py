@@ -15,7 +15,7 @@ from typing import Any
 
 from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import choose_cells
-from arrive.files import read_json, write_json
+from arrive.files import read_json
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import read_log
 from arrive.learning.policy import Policy, load_policy
@@ -66,23 +66,14 @@ class Training:
         return load_policy(self.folder)
 
     def measure(self, policy: Policy, episodes: int) -> dict[str, Any]:
-        """Success, time, path and speed by the protocol of maximum difficulty at the ground's value.
-
-        An existing result is reused if it has the same policy and number of episodes.
-        """
-        path = self.folder / "measured.json"
-        wanted = {"ground": self.ground, "episodes": episodes, "samples": policy.samples}
-        if path.is_file() and wanted.items() <= (known := read_json(path)).items():
-            return known
+        """Success, time, path and speed by the protocol of maximum difficulty at the ground's value."""
         ((family, cell),) = choose_cells(policy.config, self.ground)
         chosen = {family.name: cell} if cell else {}
         answer = difficulty.measure_difficulty(policy, [family], episodes, 1, threads=self.threads, chosen=chosen)
         (rows,), (usage,) = answer.results.values(), answer.content["policy"]["usage"].values()
         if len(rows) > 1:
             raise SystemExit(f"{family.name} has a parameter: give the value to measure at, as {family.name}=VALUE")
-        measured = wanted | {"success": rows[0].success, "interval": list(rows[0].interval), "usage": usage[0]}
-        write_json(path, measured)
-        return measured
+        return {"success": rows[0].success, "interval": list(rows[0].interval), "usage": usage[0]}
 
     def critic(self) -> dict[str, Any]:
         """Explained variance and loss of the value function at the end of training, and the curve of the former."""
@@ -97,6 +88,27 @@ class Training:
             "value_loss": sum(loss[-last:]) / last,
             "curve": {"samples": samples[::step], "explained_variance": explained[::step]},
         }
+
+
+def earlier_runs(path: Path, protocol: dict[str, Any], extended: Sequence[str]) -> list[dict[str, Any]]:
+    """The runs in a result that the same benchmark wrote before; none if there is no such file.
+
+    Args:
+        protocol: of the benchmark now.
+        extended: entries of the protocol that may differ, because they only say which runs there are.
+
+    Raises:
+        SystemExit: the file's runs were trained or measured in another way.
+    """
+    if not path.is_file():
+        return []
+    known = read_json(path)
+    before = {name: known["protocol"].get(name) for name in protocol}
+    changed = [name for name in protocol if name not in extended and protocol[name] != before[name]]
+    if changed:
+        differences = ", ".join(f"{name} {before[name]} instead of {protocol[name]}" for name in changed)
+        raise SystemExit(f"{path} has runs with {differences}; choose another folder with --out")
+    return known["runs"]
 
 
 def arrive(*arguments: str) -> None:

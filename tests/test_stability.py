@@ -3,6 +3,7 @@
 import json
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -97,12 +98,6 @@ class TestTraining:
             assert self.calls[0][-2:] == ("--resume", str(training.folder))
             assert "--set" not in self.calls[0]
 
-    def test_an_existing_measurement_of_the_policy_is_reused(self, training):
-        training.folder.mkdir()
-        known = {"ground": "gap=0.2", "episodes": 9, "samples": 7, "success": 0.5}
-        (training.folder / "measured.json").write_text(json.dumps(known))
-        assert training.measure(SimpleNamespace(samples=7), 9) == known
-
     def test_figures_of_the_critic_are_means_over_the_last_tenth(self, training):
         training.folder.mkdir()
         rows = [f"{i},{i * 100},{i},{0.1 * i},{i}" for i in range(1, 21)]
@@ -124,7 +119,7 @@ class Made:
         Made.made.append((str(folder.name), settings))
 
     def finish(self):
-        return SimpleNamespace(samples=1000)
+        return SimpleNamespace(samples=1000, commit="0123abcd")
 
     def measure(self, policy, episodes):
         usage = {"arrival_time_s": [1.0, 2.0, 3.0], "path_length_m": [4.0, 5.0, 6.0]}
@@ -153,12 +148,34 @@ def test_stability_trains_every_variant_of_every_seed_and_the_report_shows_it(ma
     assert "2 of 2" in stability_section(content)
 
 
+def test_stability_continues_from_its_result_alone(made, tmp_path):
+    """On another machine too, where the runs' folders are not; what was there before stays."""
+    stability.main(stability.Arguments(seeds=(1,), grounds=("flat",), out=tmp_path))
+    stability.main(stability.Arguments(seeds=(2, 1), grounds=("flat",), out=tmp_path))
+    assert len(made) == 2 * 5
+    stability.main(stability.Arguments(seeds=(3,), grounds=("flat",), out=tmp_path))
+    content = json.loads((tmp_path / "stability.json").read_text())
+    assert content["protocol"]["seeds"] == [1, 2, 3]
+    assert len(content["runs"]) == 3 * 5
+
+
+def test_results_of_another_benchmark_are_not_mixed_in(made, tmp_path):
+    arguments = stability.Arguments(seeds=(1,), grounds=("flat",), out=tmp_path)
+    stability.main(arguments)
+    with pytest.raises(SystemExit, match=r"runs with samples 5000000.0 instead of 1000000.0; choose"):
+        stability.main(replace(arguments, samples=1e6))
+    assert len(made) == 5
+
+
 def test_the_window_goes_from_half_a_second_to_the_whole_episode(made, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(time_window, "walking_costs", lambda *args: [{"torque_sq": None, "speed": None}])
+    costs = {"speeds": [{"torque_sq": None, "speed": None}]}
+    monkeypatch.setattr(time_window, "measure_energy", lambda *args: costs)
+    time_window.main(time_window.Arguments("gap=0.2", windows=(4.0,), out=tmp_path))
     time_window.main(time_window.Arguments("gap=0.2", out=tmp_path))
     windows = [override(get_preset("robust"), settings).task.reward_window_s for _, settings in made]
-    assert windows == [0.5, 1.0, 2.0, 4.0, 8.0]
+    assert windows == [4.0, 0.5, 1.0, 2.0, 8.0], "4 s was there already"
     content = json.loads((tmp_path / "time_window.json").read_text())
+    assert [run["window_s"] for run in content["runs"]] == [0.5, 1.0, 2.0, 4.0, 8.0]
     assert content["protocol"]["episode_s"] == 8.0
     assert "no robot walked" in capsys.readouterr().out
     assert "<img" in window_section(content)
