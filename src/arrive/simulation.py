@@ -11,11 +11,11 @@ import numpy as np
 
 from arrive.deployment.heights import HeightMap
 from arrive.deployment.inputs import Sensors
-from arrive.deployment.rotation import heading, matrix
 from arrive.physics.divergence import MAX_SPEED, silence_mujoco
 from arrive.physics.motors import motor_network, network_motors
 from arrive.physics.world import compile_world, sensor_layout
 from arrive.robots import get_robot
+from arrive.rotation import heading, matrix
 from arrive.terrain.shapes import GROUND_HALF
 from arrive.terrain.tile import RASTER_CELL, RASTER_HALF, RASTER_SIZE, Box, Tile
 

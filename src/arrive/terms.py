@@ -85,6 +85,11 @@ class Timed(Protocol):
     def episode_s(self) -> float: ...
 
 
+LEAD_M = 3.0
+"""Distance of the target of the pseudo velocity control: it stays so far ahead of the robot (paper, section Energy
+Consumption) [m]."""
+
+
 def hold_time(task: Timed) -> float:
     """The `time_left` given to a policy that waits at its target: the reward window, at most half an episode [s]."""
     return min(task.reward_window_s, 0.5 * task.episode_s)

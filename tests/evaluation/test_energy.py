@@ -15,7 +15,6 @@ from arrive.evaluation.energy import GRAVITY, check_energy_arguments, energy_con
 from arrive.evaluation.estimate import Z, mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.walking import (
-    LEAD_M,
     Heading,
     check_command,
     constant_command,
@@ -29,6 +28,7 @@ from arrive.presets import get_preset
 from arrive.report.energy_chart import energy_figure
 from arrive.report.figure import svg_text
 from arrive.task.registry import get_task
+from arrive.terms import LEAD_M
 
 
 def a_policy(task: str = "final") -> Policy:

@@ -12,10 +12,10 @@ from arrive.deployment.heights import GridHeights, HeightMap, HeightSampler, Poi
 from arrive.deployment.inputs import Frame, Sensors, frame_of
 from arrive.deployment.log import ControlLog
 from arrive.deployment.policy_file import PolicyFile, read_policy_file
-from arrive.deployment.rotation import heading, matrix
 from arrive.deployment.safety import DEFAULT, Limits, Safety
 from arrive.deployment.terms import COMPUTED, Moment, check_observed_terms
 from arrive.deployment.watchdog import Watchdog
+from arrive.rotation import heading, matrix
 
 LARGEST_OBSERVATION = 100.0
 """A scaled observation beyond this is implausible. In training they are of order 1."""

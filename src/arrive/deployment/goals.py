@@ -8,10 +8,8 @@ import numpy as np
 
 from arrive.deployment.faults import BadInput
 from arrive.deployment.specs import TaskSpec
-from arrive.terms import hold_time
+from arrive.terms import LEAD_M, hold_time
 
-JOYSTICK_DISTANCE = 3.0
-"""Distance of the pseudo target (paper, section Energy Consumption) [m]."""
 FASTEST_S = 2.0
 """Time left at full stick: 3 m in 2 s [s]."""
 SLOWEST_SHARE = 0.75
@@ -102,8 +100,8 @@ def _set(goal: Any, **values: Any) -> None:
 
 def walking_speeds(task: TaskSpec) -> tuple[float, float]:
     """Slowest and fastest pseudo velocity [m/s]."""
-    slowest = JOYSTICK_DISTANCE / (SLOWEST_SHARE * task.episode_s)
-    return slowest, max(slowest, JOYSTICK_DISTANCE / FASTEST_S)
+    slowest = LEAD_M / (SLOWEST_SHARE * task.episode_s)
+    return slowest, max(slowest, LEAD_M / FASTEST_S)
 
 
 def stick_pace(task: TaskSpec, magnitude: float) -> tuple[float, float]:
@@ -112,10 +110,10 @@ def stick_pace(task: TaskSpec, magnitude: float) -> tuple[float, float]:
     A `continuous` policy hurries whatever the time left is, so its distance is 3 m times the magnitude instead.
     """
     if task.name == "continuous":
-        return JOYSTICK_DISTANCE * magnitude, hold_time(task)
+        return LEAD_M * magnitude, hold_time(task)
     slowest, fastest = walking_speeds(task)
     speed = slowest + (fastest - slowest) * (magnitude - DEAD_ZONE) / (1.0 - DEAD_ZONE)
-    return JOYSTICK_DISTANCE, JOYSTICK_DISTANCE / speed
+    return LEAD_M, LEAD_M / speed
 
 
 def stick_magnitude(stick: Joystick) -> float:
@@ -248,7 +246,7 @@ class Navigator:
         if self._task.name == "continuous":
             return velocity * left, left
         speed = float(np.linalg.norm(velocity))
-        left = JOYSTICK_DISTANCE / max(speed, walking_speeds(self._task)[0])
+        left = LEAD_M / max(speed, walking_speeds(self._task)[0])
         return velocity * left, left
 
     def _follow(self, path: WayPoints, pos: np.ndarray, now_s: float) -> Order:
@@ -269,8 +267,8 @@ class Navigator:
             return self._reach_for(goal, self._deadline_s, pos, now_s, "way_points")
         way = goal[:2] - pos[:2]
         # The direction is undefined at the point itself. Unless the radius is 0, the next point takes over before.
-        ahead = pos[:2] + way * (JOYSTICK_DISTANCE / max(float(np.linalg.norm(way)), 1e-6))
-        left = JOYSTICK_DISTANCE / self._walk(path.speed)
+        ahead = pos[:2] + way * (LEAD_M / max(float(np.linalg.norm(way)), 1e-6))
+        left = LEAD_M / self._walk(path.speed)
         if self._task.name == "continuous":
             left = self._hold_s
         return Order(np.array([*ahead, goal[2]]), left, "way_points", f"{self._passed + 1} of {last + 1}")

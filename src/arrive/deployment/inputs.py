@@ -7,7 +7,7 @@ import numpy as np
 
 from arrive.deployment.goals import Goal, Joystick, Target, WayPoints, to_number
 from arrive.deployment.heights import GridHeights, HeightMap, HeightSampler, PointCloud
-from arrive.deployment.rotation import heading
+from arrive.rotation import heading
 
 NOTHING = np.zeros(0)
 """Replaces an input that is not numeric. Its size is wrong for every input."""

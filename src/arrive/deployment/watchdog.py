@@ -8,9 +8,9 @@ import numpy as np
 
 from arrive.deployment.faults import BadInput, Fallen
 from arrive.deployment.inputs import Frame
-from arrive.deployment.rotation import angle_between, tilt
 from arrive.deployment.safety import Safety
 from arrive.deployment.specs import RobotSpec
+from arrive.rotation import angle_between, tilt
 
 STILL_SHARE = 0.05
 """If the clock advances by less than this share of the control period in a step, it stands still."""

@@ -14,9 +14,10 @@ from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.playing import Pilot
-from arrive.evaluation.walking import LEAD_M, LEAD_S, Heading, check_speeds, possible, walking_env
+from arrive.evaluation.walking import LEAD_S, Heading, check_speeds, possible, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
+from arrive.terms import LEAD_M
 
 NAME = "energy"
 """The protocol of this measurement."""

@@ -16,10 +16,9 @@ from arrive.task.final import FinalPositionTask
 from arrive.task.registry import get_task
 from arrive.task.task import ConstantCommand
 from arrive.task.velocity import VelocityTask
+from arrive.terms import LEAD_M
 from arrive.terrain.levels import EVALUATION_SEED_OFFSET
 
-LEAD_M = 3.0
-"""Distance at which the target stays ahead of a final-position policy (paper, section Energy Consumption) [m]."""
 LEAD_S = 3.0
 """The target stays as far ahead of a continuous-position policy as the speed leads in this time [s]."""
 TERRAIN = "flat"

@@ -1,5 +1,7 @@
 """The training schedule: find a gait, then climb the levels, then finish with little noise.
 
+A gait is found on a terrain family once the task reward there reaches half of its maximum.
+
 No single setting suits all three stages. Finding a gait needs much action noise and cheap falls. Later the same noise
 makes the robot trip. And the policy is evaluated without noise, so the last part of a run uses little noise, small
 updates, expensive falls, and a mix of easy and hard levels.
@@ -9,7 +11,6 @@ from dataclasses import dataclass
 
 from arrive.config import Config, ScheduleConfig
 
-GAIT, CLIMB, FINISH = "gait", "climb", "finish"
 MAX_STD = 1e3
 """Bound on the action noise that has no effect."""
 
@@ -18,8 +19,6 @@ MAX_STD = 1e3
 class Settings:
     """The values of the schedule for one iteration."""
 
-    stage: str
-    """`gait` until the task reward reaches half of its maximum on every terrain family, then `climb`, then `finish`."""
     entropy: float
     """Weight of the entropy bonus."""
     desired_kl: float
@@ -52,7 +51,6 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
     finish = _finish_share(schedule, spent)
     climb_std = schedule.climb_std * (schedule.finish_std / schedule.climb_std) ** spent
     climbed = Settings(
-        stage=FINISH if spent >= schedule.finish_from else CLIMB,
         entropy=schedule.climb_entropy * (1.0 - finish),
         desired_kl=_between(schedule.climb_kl, schedule.finish_kl, finish),
         max_std=_between(climb_std, schedule.finish_std, finish),
@@ -69,7 +67,6 @@ def settings_at(config: Config, spent: float, seeking: float) -> Settings:
 def _constant(config: Config, entropy: float) -> Settings:
     """The settings of the configuration itself, without a schedule."""
     return Settings(
-        stage=GAIT,
         entropy=entropy,
         desired_kl=config.ppo.desired_kl,
         max_std=MAX_STD,

@@ -52,11 +52,6 @@ class CpuPhysics:
         self._failed = np.zeros(num_envs, dtype=bool)
         self._inactive = np.zeros(num_envs, dtype=bool)
 
-    @property
-    def world_of_env(self) -> np.ndarray:
-        """(num_envs,) index of each environment's world."""
-        return self._world_of_env
-
     def model_of_env(self, env_id: int) -> mujoco.MjModel:
         """The compiled world of an environment."""
         return self._worlds[self._world_of_env[env_id]]

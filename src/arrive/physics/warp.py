@@ -179,11 +179,6 @@ class WarpPhysics:
         self.decimation = decimation
         self._graph = self._capture()
 
-    @property
-    def world_of_env(self) -> Tensor:
-        """(num_envs,) index of the world each environment is in."""
-        return self._world_of_env
-
     def model_of_env(self, env_id: int) -> mujoco.MjModel:
         """The compiled world an environment is in."""
         return self._worlds[int(self._world_of_env[env_id])]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from arrive.rotation import matrix
 from arrive.terrain.tile import RASTER_CELL, RASTER_SIZE, Box, HeightField, Tile, cell_centers
 
 DEEP_FLOOR = -20.0
@@ -45,7 +46,7 @@ def rasterise(boxes: Sequence[Box], height_field: HeightField | None = None) -> 
 
 def _raise_to_box(heights: np.ndarray, box: Box) -> None:
     """Raise `heights` to the box's top, found by intersecting each cell's vertical line with the box."""
-    rotation = _rotation_matrix(box.quat)
+    rotation = matrix(np.array(box.quat))
     center, half = np.array(box.center), np.array(box.half_size)
     reach = np.abs(rotation) @ half
     x, y = (_cells_between(center[axis] - reach[axis], center[axis] + reach[axis]) for axis in (0, 1))
@@ -67,18 +68,6 @@ def _cells_between(low: float, high: float) -> slice:
     """The cells along one axis whose centres lie in [low, high] [m]."""
     centers = cell_centers()
     return slice(int(np.searchsorted(centers, low, "left")), int(np.searchsorted(centers, high, "right")))
-
-
-def _rotation_matrix(quat: tuple[float, float, float, float]) -> np.ndarray:
-    """(3, 3) matrix that takes the box's frame to the tile's frame, from a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quat
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def height_field_heights(field: HeightField) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Rotations of single vectors in NumPy; quaternions are (w, x, y, z)."""
+"""Rotations of single bodies in NumPy; quaternions are (w, x, y, z). `task/rotation.py` has those of all robots."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def matrix(quat: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation matrix from base to world of a unit quaternion."""
+    """(3, 3) rotation matrix from the body's frame to the world's of a unit quaternion."""
     w, x, y, z = quat.tolist()
     return np.array([
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
