@@ -9,6 +9,7 @@ import time
 import pytest
 
 from arrive.learning.checkpoint import load_checkpoint
+from arrive.learning.logs import read_log
 from arrive.startup import INTERRUPTED, interrupt_again, leave_at_once
 from tiny_runs import train_words
 
@@ -52,7 +53,8 @@ def test_a_training_that_is_interrupted_at_any_moment(tmp_path, delay_s):
     time.sleep(delay_s)
     code, err = end(process)
     if code == 0:  # it was training: the iteration was finished and saved
-        assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")[1]["iteration"] >= 0
+        saved = load_checkpoint(tmp_path / "run" / "checkpoint.pt")[1]["iteration"]
+        assert saved == len(read_log(tmp_path / "run")["iteration"]) > 0
     else:
         assert code in (1, INTERRUPTED)
         assert err.startswith("arrive: interrupted")
