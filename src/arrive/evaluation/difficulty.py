@@ -195,12 +195,12 @@ def protocol_content(policy: Policy, episodes: int, seed: int, levels: int | Non
         "randomisation": to_dict(randomisation),
         "observation_noise": policy.config.observation.noise,
         "success": (
-            "to a place: within the arrival radius of the target when the time is over, without a crash; "
-            "by velocity: walked farther along x than asked, even if it crashed afterwards"
+            "within the arrival radius of the target when the time is over, without a crash; for the task `velocity` "
+            "a longer way along x than the trial's, even with a crash afterwards"
         ),
         "note": (
-            f"robots sent to a place have {TRIAL.duration_s:g} s; this policy was trained with at most "
-            f"{policy.config.task.episode_s:g} s and is told no more than that"
+            f"the time given is {TRIAL.duration_s:g} s; this policy was trained with episodes of at most "
+            f"{policy.config.task.episode_s:g} s, and a time left above that is shown to it as that"
         ),
     }
 

@@ -24,7 +24,7 @@ NAME = "energy"
 GRAVITY = 9.81
 """[m/s^2]."""
 STALL_S = 10.0
-"""Who gets on by less than `STALL_M` in this time stands [s]."""
+"""A robot that walks less than `STALL_M` in this time stands [s]."""
 STALL_M = 0.5
 """[m]."""
 LEAST_M = 2.0
@@ -201,11 +201,13 @@ def energy_content(policies: list[dict[str, Any]], robots: int, way_m: float, se
             "observation_noise": True,
             "command": {
                 "velocity": "its speed",
-                "final": f"a target {LEAD_M:g} m ahead, {LEAD_M:g} m / speed of remaining time that does not run",
-                "continuous": f"a target speed * {LEAD_S:g} s ahead, half of an episode of remaining time",
+                "final": f"a target that stays {LEAD_M:g} m ahead and a time left that stays {LEAD_M:g} m / speed",
+                "continuous": (
+                    f"a target that stays speed * {LEAD_S:g} s ahead and a time left that stays half an episode"
+                ),
             },
-            "counted": f"all metres of robots that finished, or fell after at least {LEAST_M:g} m",
-            "stood": f"got on by less than {STALL_M:g} m in {STALL_S:g} s",
+            "counted": f"the robots that finished, and those that fell after {LEAST_M:g} m or more",
+            "stood": f"walked less than {STALL_M:g} m in {STALL_S:g} s",
         },
         "commit": commit(),
     }

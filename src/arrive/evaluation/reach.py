@@ -287,10 +287,12 @@ def _protocol(policy: Policy, grid: ReachGrid, episodes: int, seed: int) -> dict
         "randomisation": to_dict(randomised(policy.config.randomisation)),
         "success": "within the arrival radius of the target when the time is over, without a crash",
         "by_distance": f"in the direction {grid.ahead:g} deg, for each time given",
-        "by_direction": f"all distances in equal parts, {grid.time_s:g} s; relative to the heading at the start",
-        "waiting": (
-            f"{WAIT_S:g} s at the target after the {grid.time_s:g} s, all distances in equal parts; the policy is "
-            f"told {hold_time(task):g} s of remaining time, as a robot's controller tells it"
+        "by_direction": (
+            f"all distances in equal parts, within {grid.time_s:g} s; angles are relative to the heading at the start"
         ),
-        "holes": "a target that would stand in a hole stands at the next place straight behind it",
+        "waiting": (
+            f"robots that arrived within {grid.time_s:g} s stay {WAIT_S:g} s longer, all distances in equal parts; "
+            f"meanwhile the policy observes a time left of {hold_time(task):g} s, as on a robot"
+        ),
+        "holes": "a target in a hole is moved straight back to the next valid place",
     }

@@ -69,7 +69,7 @@ def _reach(run: Run, measured: dict[str, Any]) -> list[str]:
         "## Where and by when it arrives",
         f"`arrive eval --protocol reach`: {protocol['episodes']} episodes per row, seed {protocol['seed']}, "
         f"{markdown(protocol['layout'])} layout; success is {markdown(protocol['success'])}, with 95 % intervals. "
-        f"Distances are {markdown(protocol['by_distance'])}; directions: {markdown(protocol['by_direction'])}. "
+        f"By distance: {markdown(protocol['by_distance'])}. By direction: {markdown(protocol['by_direction'])}. "
         f"Commit {markdown(measured['commit'])}.",
     ]
     for name, entry in measured["families"].items():

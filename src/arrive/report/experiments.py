@@ -51,7 +51,7 @@ def energy_section(runs: Sequence[Run], content: dict[str, Any] | None) -> str:
     note = (
         f"<p class=soft>{protocol['robots']} robots walk {protocol['way_m']:g} m of flat ground at each speed, with "
         f"sensor noise. {symbol('velocity')} gets {commanded['velocity']}; {symbol('final')} {commanded['final']}; "
-        f"{symbol('continuous')} {commanded['continuous']}. Counted are {html.escape(protocol['counted'])}. "
+        f"{symbol('continuous')} {commanded['continuous']}. Costs are those of {html.escape(protocol['counted'])}. "
         "Bars: 95 % intervals.</p>"
     )
     rows = [

@@ -194,12 +194,12 @@ def _difficulty(runs: Sequence[Run]) -> str:
 
 
 def _reach(runs: Sequence[Run]) -> str:
-    """Success by distance, direction and time given, of the runs that were measured so."""
+    """Success by distance, direction and time given."""
     head = "<h2 id=reach>Success by distance, direction and time given</h2>"
     measured = [(run, run.reach) for run in runs if run.reach]
     if not measured:
         commands = (command_line("eval", "--protocol", "reach", run.name) for run in runs)
-        return head + missing("No run was measured so.", *commands)
+        return head + missing("No run was measured at other targets.", *commands)
     items, made = [], []
     for run, reach in measured:
         for name, entry in reach["families"].items():
@@ -209,10 +209,10 @@ def _reach(runs: Sequence[Run]) -> str:
         made.append(f"{code(_reach_command(run, reach))}, measured by {html.escape(reach['commit'])}")
     drawn, protocol = [run for run, _ in measured], measured[0][1]["protocol"]
     return (
-        f"{head}<p class=soft>Where policies are used, not where the paper measures: "
-        f"{html.escape(protocol['success'])}. Directions are relative to the heading at the start, counterclockwise, "
-        "all distances in equal parts; a target that would stand in a hole stands at the next place behind it. Bands: "
-        "95 % Wilson intervals. The times given are compared in each policy's card.</p>"
+        f"{head}<p class=soft>The paper does not measure this. Success is {html.escape(protocol['success'])}. "
+        "Directions are counterclockwise from the heading at the start, each with all distances in equal parts. A "
+        "target in a hole is moved to the next valid place behind it. Bands: 95 % Wilson intervals. Each policy's card "
+        "compares the times given.</p>"
         f"{chart(lambda columns: reach_chart(drawn, columns), 'success by distance and direction')}"
         f"<ul>{''.join(items)}</ul><p class=made>{'<br>'.join(made)}</p>"
     )

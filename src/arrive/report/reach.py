@@ -69,4 +69,4 @@ def protocol_words(difficulty: dict[str, Any] | None, name: str, entry: dict[str
         return ""
     trial = difficulty["protocol"]["trial"]
     task = f"{trial['target'][0]:g} m ahead, {trial['duration_s']:g} s"
-    return f"The protocol's figure there ({task}): {share_words(same[0])} %."
+    return f"By the paper's protocol ({task}): {share_words(same[0])} %."

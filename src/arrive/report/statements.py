@@ -34,7 +34,7 @@ def _cheaper(content: dict[str, Any], better: str, worse: str, fast: bool) -> di
     claim = f"{SYMBOLS[better]} needs less than {SYMBOLS[worse]} {where}"
     found = _costs(content, (better, worse), fast)
     if found is None:
-        return _statement(claim, "open", "it takes both, at a common speed")
+        return _statement(claim, "open", "both must be measured at a speed that both reach")
     speed, (first, second) = found
     verdict = "holds" if first[2] <= second[1] else "fails" if first[1] >= second[2] else "open"
     return _statement(claim, verdict, f"{first[0]:.0f} against {second[0]:.0f} N² m² s/m at {speed:.2f} m/s")
@@ -44,7 +44,7 @@ def _alike(content: dict[str, Any]) -> dict[str, str]:
     claim = "All need about the same at high speed"
     found = _costs(content, tuple(SYMBOLS), fast=True)
     if found is None:
-        return _statement(claim, "open", "it takes all three, at a common speed")
+        return _statement(claim, "open", "all three must be measured at a speed that all reach")
     speed, costs = found
     values, lows, highs = zip(*costs, strict=True)
     least, most = min(values), max(values)
