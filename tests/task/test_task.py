@@ -11,7 +11,7 @@ from torch import Tensor
 from arrive.build import Placement, build_env
 from arrive.config import Config, TerrainConfig
 from arrive.errors import ArriveError
-from arrive.presets import PAPER_REWARDS
+from arrive.presets import PAPER_REWARDS, PRESETS, get_preset
 from arrive.task.curriculum import ExplorationSwitch, LevelCurriculum, assign_families
 from arrive.task.final import FinalConfig, FinalPositionTask
 from arrive.task.heights import look_up
@@ -516,17 +516,33 @@ def test_full_episodes_do_count_for_exploration():
     assert float(env.exploration.state_dict()["sums"][1]) == 20.0
 
 
-def test_every_random_episode_pays_at_most_one_window():
-    """Lengths are whole policy steps, so that no episode's window holds one step more than the others'."""
-    config = replace(TASK, episode_min_s=4.0, reward_window_s=2.0)
-    task = a_task(tile_of("flat"), 500, config)
-    task.new_command(Start(torch.arange(500), starts(500), torch.zeros(500, dtype=torch.long)), first=False)
-    lengths = task.command.time_left_s.clone()
-    paid, over = torch.zeros(500), torch.zeros(500, dtype=torch.bool)
-    while not over.all():
-        over |= task.advance(0.02)
-        paid += (task.command.time_left_s < 2.0 - 1e-4) * ~(task.command.time_left_s < -1e-4) * 0.02 / 2.0
-    assert lengths.min() >= 4.0 - 1e-4
-    assert lengths.max() <= 6.0 + 1e-4
-    assert lengths.unique().numel() > 50
-    assert (paid - 1.0).abs().max() < 1e-3
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_length_of_an_episode_pays_exactly_one_window(preset):
+    """Lengths are whole policy steps. The clock counts them down in float32, and slips no step into the window or out.
+
+    Beyond the presets it does: from 8.3 s on, windows of 1 and 2 s have a step more.
+    """
+    config, dt = get_preset(preset).task, get_preset(preset).physics.control_dt
+    lengths = torch.arange(round(config.episode_min_s / dt), round(config.episode_s / dt) + 1)
+    count = len(lengths)
+    task, state = a_task(tile_of("flat"), count, config), a_state(count)
+    begin(task, count)
+    # As `new_command` makes them whole.
+    task.command.time_left_s[:] = (lengths * dt / dt).round() * dt
+    state.base_pos_w = task.command.target_w
+    paid, over = torch.zeros(count), torch.zeros(count, dtype=torch.bool)
+    for _ in range(int(lengths.max())):
+        ended = task.advance(dt)
+        paid += dt * bound("task", config)(state, task.command) * ~over
+        over |= ended
+    assert bool(over.all())
+    assert (paid - 1.0).abs().max() < 1e-4
+
+
+def test_lengths_are_whole_policy_steps():
+    task = a_task(tile_of("flat"), 500, replace(TASK, episode_min_s=4.0))
+    begin(task, 500)
+    steps = task.command.time_left_s / 0.02
+    assert (steps - steps.round()).abs().max() < 1e-3
+    assert steps.round().unique().numel() > 50
+    assert 200 <= int(steps.round().min()) < int(steps.round().max()) <= 300
