@@ -188,6 +188,8 @@ class TestCommand:
         content = measure_energy(a_policy(), (0.25, 0.5), 2, 2.0, 1, 1)
         assert [row["told_m_s"] for row in content["speeds"]] == [0.5]
         assert content["speeds"][0]["robots"] == 2
+        assert content["randomisation"]["push_speed"] == 0.0
+        assert content["randomisation"]["friction"] == list(a_policy().config.randomisation.friction)
 
     def test_the_velocity_task_refuses_sideways_commands(self):
         assert constant_command(a_policy("velocity"), [Heading(0.5), Heading(0.5, 180)], 1).speed.tolist() == [

@@ -14,7 +14,7 @@ from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean, ratio
 from arrive.evaluation.motors import MeteredPhysics, meter
 from arrive.evaluation.playing import Pilot
-from arrive.evaluation.walking import LEAD_S, Heading, check_speeds, possible, walking_env
+from arrive.evaluation.walking import LEAD_S, Heading, check_speeds, conditions, possible, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.terms import LEAD_M
@@ -91,9 +91,7 @@ def measure_energy(
     walks = walk(env, policy, meter(env, threads), way_m, progress)
     parts = torch.arange(len(commands)).repeat_interleave(robots)
     rows = [row(heading.speed, walks, parts == i, way_m) for i, heading in enumerate(commands)]
-    return origin_of(policy) | {
-        "speeds": rows,
-    }
+    return origin_of(policy) | conditions(policy) | {"speeds": rows}
 
 
 def check_energy_arguments(speeds: Sequence[float], robots: int, way_m: float) -> None:

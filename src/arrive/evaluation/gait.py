@@ -15,7 +15,7 @@ from arrive.evaluation.difficulty import origin_of
 from arrive.evaluation.estimate import mean
 from arrive.evaluation.footfalls import NAMES, TOGETHER, Footfalls, circular, footfalls, gait_name, hildebrand, steady
 from arrive.evaluation.playing import Pilot
-from arrive.evaluation.walking import Heading, check_speeds, possible, walking_env
+from arrive.evaluation.walking import Heading, check_speeds, conditions, possible, walking_env
 from arrive.learning.policy import Policy
 from arrive.learning.rundir import commit
 from arrive.robots.robot import Robot
@@ -79,11 +79,15 @@ def measure_gait(
     for index, heading in enumerate(commands):
         mine = slice(index * robots, (index + 1) * robots)
         rows.append(_told(heading) | describe_gait(_part(record, mine), corners, env.control_dt))
-    return origin_of(policy) | {
-        "feet": foot_labels(env.robot),
-        "corners_m": np.round(corners, 3).tolist(),
-        "gaits": rows,
-    }
+    return (
+        origin_of(policy)
+        | conditions(policy)
+        | {
+            "feet": foot_labels(env.robot),
+            "corners_m": np.round(corners, 3).tolist(),
+            "gaits": rows,
+        }
+    )
 
 
 def check_gait_arguments(commands: Sequence[Heading], robots: int, seconds: float) -> None:

@@ -3,10 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
 from arrive.build import Placement, build_env
+from arrive.config import to_dict
 from arrive.env import ArriveEnv
 from arrive.errors import ArriveError
 from arrive.evaluation.difficulty import VARIANTS, randomised
@@ -91,6 +93,11 @@ def constant_command(policy: Policy, headings: list[Heading], duration_s: float)
         speed=torch.where(ahead[:, 0] < 0.0, -speed, speed).to(policy.device),
         heading=torch.zeros_like(speed).to(policy.device),
     )
+
+
+def conditions(policy: Policy) -> dict[str, Any]:
+    """What the robots of `walking_env` are like, as JSON data."""
+    return {"randomisation": to_dict(randomised(policy.config.randomisation)), "worlds": VARIANTS}
 
 
 def slowest_speed(policy: Policy) -> float:
