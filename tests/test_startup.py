@@ -52,14 +52,13 @@ def test_a_training_that_is_interrupted_at_any_moment(tmp_path, delay_s):
     process = start(tmp_path, *TRAIN)
     time.sleep(delay_s)
     code, err = end(process)
-    if code == 0:  # it was training: the iteration was finished and saved
+    assert code == INTERRUPTED
+    assert err.startswith("arrive: interrupted")
+    assert err.count("\n") == 1
+    if (tmp_path / "run" / "checkpoint.pt").exists():  # it was training: the iteration was finished and saved
         saved = load_checkpoint(tmp_path / "run" / "checkpoint.pt")[1]["iteration"]
         assert saved == len(read_log(tmp_path / "run")["iteration"]) > 0
-    else:
-        assert code in (1, INTERRUPTED)
-        assert err.startswith("arrive: interrupted")
-        assert err.count("\n") == 1
-        assert not (tmp_path / "run" / "run.lock").exists() or not (tmp_path / "run" / "checkpoint.pt").exists()
+        assert not (tmp_path / "run" / "run.lock").exists()
 
 
 @pytest.mark.parametrize(
@@ -72,7 +71,8 @@ def test_other_commands_too(tmp_path, words, delay_s):
     process = start(tmp_path, *words)
     time.sleep(delay_s)
     code, err = end(process)
-    assert code in (0, 1, INTERRUPTED)
+    # 0 and 1 where it had ended before, and 0 for the page, which runs until Ctrl-C.
+    assert code == INTERRUPTED if "interrupted" in err else code in (0, 1)
     assert err.count("\n") <= 1
 
 
@@ -85,7 +85,7 @@ def test_a_second_ctrl_c_is_one_line_too(tmp_path):
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     code, _ = end(process)
-    assert code in (0, 1, INTERRUPTED)
+    assert code in (INTERRUPTED, -signal.SIGINT), "the latter in Python's last moments"
     load_checkpoint(tmp_path / "run" / "checkpoint.pt")
 
 

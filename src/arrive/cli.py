@@ -26,10 +26,10 @@ from arrive.commands.options import (
     Train,
     Verify,
 )
-from arrive.errors import ArriveError, shown
+from arrive.errors import ArriveError, Interrupted, shown
 from arrive.neighbours import wait_considerately
 from arrive.plugins import blamed, import_module, import_packages
-from arrive.startup import interrupt_again
+from arrive.startup import INTERRUPTED, interrupt_again
 
 DEBUG = "--debug"
 """Option of every command: show tracebacks."""
@@ -66,7 +66,11 @@ SETTABLE = ("train", "bench")
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command. An error prints one line on standard error and exits with 1; --debug adds the traceback."""
+    """Run a command.
+
+    An error prints one line on standard error and exits with 1; --debug adds the traceback. An interrupt before the
+    work is done exits with `INTERRUPTED`.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
@@ -91,10 +95,10 @@ def main(arguments: list[str] | None = None) -> None:
         import_packages()
         _run(command)
     except (Exception, KeyboardInterrupt) as error:
-        if debug:
+        if debug and not isinstance(error, Interrupted):
             raise
         print(f"arrive: {shown(_one_line(error))}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(INTERRUPTED if isinstance(error, Interrupted | KeyboardInterrupt) else 1)
 
 
 def _show_fields() -> None:

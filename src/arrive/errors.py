@@ -11,6 +11,10 @@ class ArriveError(Exception):
     """A problem that the user can solve. The message says what is wrong and what to do."""
 
 
+class Interrupted(ArriveError):
+    """Ctrl-C or `kill` ended a command before its work was done. The message says how to go on."""
+
+
 def shown(text: str) -> str:
     """A text in one line, with what cannot be written or seen, such as terminal commands, as escapes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import torch
 
 from arrive import __version__, cli, files
 from arrive.commands import training
+from arrive.commands.options import Train
 from arrive.config import override
 from arrive.errors import ArriveError
 from arrive.learning import rundir
@@ -23,6 +25,7 @@ from arrive.learning.logs import read_log
 from arrive.learning.rundir import LOCK_NAME, new_run_folder
 from arrive.lock import Lock
 from arrive.presets import get_preset
+from arrive.startup import INTERRUPTED
 from tiny_runs import TINY
 
 WHOLE = ["checkpoint.pt", "config.json", "curves.png", "log.csv", "policy.pt", "tensorboard"]
@@ -60,13 +63,13 @@ def resume(folder: Path, iterations: int = 4) -> None:
 
 @pytest.fixture
 def refused(capsys):
-    """Do what must end with status 1 and one line on standard error; returns that line."""
+    """Do what must end with this status and one line on standard error; returns that line."""
 
-    def run(action, *arguments) -> str:
+    def run(action, *arguments, status: int = 1) -> str:
         with pytest.raises(SystemExit) as stopped:
             action(*arguments)
         out, err = capsys.readouterr()
-        assert stopped.value.code == 1, err
+        assert stopped.value.code == status, err
         assert err.startswith("arrive: ")
         assert err.count("\n") == 1, err
         assert "Traceback" not in out + err
@@ -350,23 +353,35 @@ def interrupt(*arguments, **options):
 
 def test_ctrl_c_during_the_start_says_how_to_go_on(tmp_path, run, refused, monkeypatch):
     monkeypatch.setattr(training, "build_env", interrupt)
-    assert "interrupted; nothing was trained yet" in refused(begin, tmp_path / "new", 1)
+    assert "interrupted; nothing was trained yet" in refused(begin, tmp_path / "new", 1, status=INTERRUPTED)
     assert not (tmp_path / "new").exists()
     assert (
         f"interrupted; resume from the last checkpoint with: arrive train flat --resume {run} --iterations 4"
-        in refused(resume, run)
+        in refused(resume, run, status=INTERRUPTED)
     )
     assert names(run) == WHOLE
 
 
+@pytest.mark.parametrize("name", [option.name for option in fields(Train)[1:]])
+def test_the_command_that_resumes_has_every_option_that_the_run_does_not_keep(tmp_path, monkeypatch, name):
+    """Whatever is not in the run's configuration, nor says which run it is."""
+    monkeypatch.setattr("arrive.plugins._imported", {"mine": "/my/mine.py"})
+    (tmp_path / "checkpoint.pt").touch()
+    value = {"threads": 3, "device": "cpu", "logger": "wandb", "samples": "40M"}.get(name, 7)
+    said = training._how_to_go_on(replace(Train("flat"), **{name: value}), tmp_path)
+    kept = {"preset", "robot", "task", "num_envs", "seed", "resume", "start_from", "out", "config", "set"}
+    assert (f"--{name.replace('_', '-')} {value}" in said) == (name not in kept)
+    assert "--import /my/mine.py" in said
+
+
 def test_ctrl_c_before_that_is_one_line_too(tmp_path, refused, monkeypatch):
     monkeypatch.setattr(training, "choose_device", interrupt)
-    assert refused(begin, tmp_path / "new", 1) == "arrive: interrupted\n"
+    assert refused(begin, tmp_path / "new", 1, status=INTERRUPTED) == "arrive: interrupted\n"
 
 
 def test_a_second_ctrl_c_ends_at_once(run, refused, monkeypatch):
     do_at_iteration(monkeypatch, 4, interrupt)
-    assert "resume from the last checkpoint" in refused(resume, run, 5)
+    assert "resume from the last checkpoint" in refused(resume, run, 5, status=INTERRUPTED)
     monkeypatch.undo()
     resume(run, 5)
     assert read_log(run)["iteration"] == [1, 2, 3, 4, 5]

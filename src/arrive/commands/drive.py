@@ -7,13 +7,18 @@ from typing import TYPE_CHECKING
 
 from arrive.commands.policies import need
 from arrive.config import saved_config
+from arrive.errors import Interrupted
 
 if TYPE_CHECKING:
     from arrive.commands.options import Drive
 
 
 def run_drive(command: Drive) -> None:
-    """Drive a policy's deployment controller and print a summary."""
+    """Drive a policy's deployment controller and print a summary.
+
+    Raises:
+        Interrupted: a signal ended it before its script or its time was over.
+    """
     need("onnxruntime")
     from arrive.deployment import Controller, ControlLog
     from arrive.deployment.opening import open_policy
@@ -52,3 +57,5 @@ def run_drive(command: Drive) -> None:
     print(summarise(statistics))
     if log:
         print(f"log: {command.log}")
+    if math.isfinite(seconds) and statistics.time_s < seconds - driver.control_dt:
+        raise Interrupted(f"interrupted after {statistics.time_s:.1f} of {seconds:g} s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from arrive.commands.policies import read_policy
 from arrive.commands.threads import use_threads
 from arrive.config import Config
 from arrive.env import ArriveEnv
-from arrive.errors import ArriveError
+from arrive.errors import ArriveError, Interrupted
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.display import TrainingDisplay, count
 from arrive.learning.logs import RunLog
@@ -35,6 +35,7 @@ from arrive.learning.rundir import (
 from arrive.learning.trainer import Budget, Trainer
 from arrive.lock import Lock
 from arrive.physics.device import choose_device, describe_device
+from arrive.plugins import import_options
 from arrive.policies import CONFIG_NAME, find_policy
 from arrive.recipe import make_config
 from arrive.terrain import parse_families
@@ -45,12 +46,16 @@ if TYPE_CHECKING:
 DEFAULT_MINUTES = 40.0
 """Default training budget [min]."""
 
+NOT_IN_THE_RUN = ("minutes", "samples", "iterations", "threads", "device", "logger", "film_minutes")
+"""Options that a run does not keep, so that they are given again when it is resumed."""
+
 
 def train(command: Train) -> None:
     """Start a new run or resume one.
 
     Raises:
-        ArriveError: it cannot start, cannot continue, or was interrupted; the message says how to continue.
+        ArriveError: it cannot start or cannot continue.
+        Interrupted: it was interrupted; the message says how to continue.
     """
     threads = use_threads(command.threads)
     budget = _budget(command)
@@ -64,10 +69,12 @@ def train(command: Train) -> None:
         if ranks.leads and not command.resume:
             check_free(folder)  # again, because another process may have held the lock until now
         try:
-            _train(command, _Run(config, folder, ranks, device, threads, budget, lock))
+            interrupted = _train(command, _Run(config, folder, ranks, device, threads, budget, lock))
         except KeyboardInterrupt:
-            raise ArriveError(f"interrupted; {_how_to_go_on(command, folder)}") from None
+            raise Interrupted(f"interrupted; {_how_to_go_on(command, folder)}") from None
     ranks.leave()
+    if interrupted and ranks.leads:
+        raise Interrupted(f"interrupted; {_how_to_go_on(command, folder)}")
 
 
 @dataclass(frozen=True)
@@ -84,8 +91,8 @@ class _Run:
     """Lock of the folder; None in processes that do not write."""
 
 
-def _train(command: Train, run: _Run) -> None:
-    """Build, load and train."""
+def _train(command: Train, run: _Run) -> bool:
+    """Build, load and train. Returns whether a signal ended it before its budget was spent."""
     if run.ranks.leads:
         together = f", {run.ranks.count} processes" if run.ranks.count > 1 else ""
         print(describe_device(run.device, command.device, run.threads, run.config.physics.engine) + together)
@@ -100,7 +107,7 @@ def _train(command: Train, run: _Run) -> None:
     lock = run.lock
     if log is None or lock is None:
         trainer.train(run.budget, lambda result: None)
-        return
+        return trainer.interrupted
     lock.check()
     if command.resume:
         log.resume_at(trainer.state.iteration)
@@ -108,6 +115,7 @@ def _train(command: Train, run: _Run) -> None:
         write_config(run.folder, run.config, before)  # last, so that a start that failed leaves the folder free
     log.describe(run.config)
     _train_and_show(command, run, trainer, log, lock)
+    return trainer.interrupted
 
 
 def _begin_from(trainer: Trainer, start: Path) -> int:
@@ -157,8 +165,6 @@ def _train_and_show(command: Train, run: _Run, trainer: Trainer, log: RunLog, lo
 
         print(f"curves: {plot_curves(folder)}")
     print(f"run: {folder} ({trainer.state.iteration} iterations, {count(trainer.state.samples)} samples)")
-    if trainer.interrupted:
-        print(f"interrupted; {_how_to_go_on(command, folder)}")
 
 
 def _how_to_go_on(command: Train, folder: Path) -> str:
@@ -166,9 +172,11 @@ def _how_to_go_on(command: Train, folder: Path) -> str:
     if not (folder / CHECKPOINT_NAME).exists():
         return "nothing was trained yet: run the same command again"
     words = ["arrive", "train", command.terrain, "--resume", str(folder)]
-    for name in ("minutes", "iterations", "samples"):
-        if (value := getattr(command, name)) is not None:
-            words += [f"--{name}", str(value)]
+    for option in fields(command):
+        value = getattr(command, option.name)
+        if option.name in NOT_IN_THE_RUN and value != option.default:
+            words += [f"--{option.name.replace('_', '-')}", str(value)]
+    words += import_options()
     return f"resume from the last checkpoint with: {shlex.join(words)}"
 
 
