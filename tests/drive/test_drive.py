@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import math
+import re
 import signal
 import sys
 from pathlib import Path
@@ -64,6 +65,9 @@ def test_a_script_holds_each_stick_until_the_next(tmp_path):
         ("", "must begin with the line"),
         ("time,x,y,heading\n0,1,0,0\n", "must begin with the line"),
         (HEADER, "no stick positions"),
+        (HEADER + "0,30,0,\n", "line 2: forward is a stick position of -1 to 1, not 30"),
+        (HEADER + "0,1,0,\n1,0,-1.01,\n", "line 3: left is a stick position of -1 to 1, not -1.01"),
+        (HEADER + "0,1,0,90\n", "line 2: heading_rad is -6.28 to 6.28 rad, not 90; is it in degrees?"),
         (HEADER + "0,1,0,\n1,fast,0,\n", "line 3: 'fast'"),
         (HEADER + "0,1\n", "line 2: None"),
         (HEADER + "0,nan,0,\n", "line 2: 'nan'"),
@@ -274,6 +278,26 @@ def test_drive_by_a_file(tmp_path, capsys):
     cli.main(["drive", "joystick", "--script", str(script), "--log", str(log)])
     assert "3.0 s, 0 falls" in capsys.readouterr().out
     assert len(ControlLog.load(log).frames) == 150
+
+
+def test_the_example_of_the_message_is_a_script_that_lasts(tmp_path):
+    path = tmp_path / "drive.csv"
+    path.write_text(HEADER)
+    with pytest.raises(ArriveError) as told:
+        read_script(path)
+    first, last = re.search("such as (.*) and for the end (.*)", str(told.value)).groups()
+    path.write_text(f"{HEADER}{first}\n{last}\n")
+    assert read_script(path) == Script((0.0, 5.0), (Joystick(1.0, 0.0), Joystick(0.0, 0.0)))
+
+
+def test_a_script_that_ends_at_its_start_is_refused_unless_the_time_is_given(tmp_path, capsys):
+    script = tmp_path / "drive.csv"
+    script.write_text(HEADER + "0,1,0,\n")
+    with pytest.raises(SystemExit):
+        cli.main(["drive", "joystick", "--script", str(script)])
+    assert f"{script} ends at 0 s" in capsys.readouterr().err
+    cli.main(["drive", "joystick", "--script", str(script), "--seconds", "0.1"])
+    assert "0.1 s, 0 falls" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("hears_hangups")

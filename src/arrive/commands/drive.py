@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from arrive.commands.policies import need
 from arrive.config import saved_config
-from arrive.errors import Interrupted
+from arrive.errors import ArriveError, Interrupted
 
 if TYPE_CHECKING:
     from arrive.commands.options import Drive
@@ -40,6 +40,10 @@ def run_drive(command: Drive) -> None:
     script = read_script(command.script) if command.script else None
     controls = script or Gamepad()
     seconds = command.seconds or (script.end_s if script else math.inf)
+    if not seconds:
+        raise ArriveError(
+            f"{command.script} ends at 0 s, with its last line: add one, such as 5,0,0, or give --seconds"
+        )
     log = ControlLog() if command.log else None
     driver = Driver(SimulatedRobot(config, continued(tile)), Controller(policy, log=log))
     status = StatusLine()

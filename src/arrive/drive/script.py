@@ -11,9 +11,13 @@ import numpy as np
 
 from arrive.deployment import Joystick
 from arrive.errors import ArriveError
+from arrive.fields import Range
 from arrive.files import read_text
 
 COLUMNS = ("time_s", "forward", "left", "heading_rad")
+STICK = Range(-1.0, 1.0)
+HEADING = Range(-2.0 * math.pi, 2.0 * math.pi)
+"""Of headings [rad]. Larger ones are degrees."""
 HOLD_S = (0.3, 2.0)
 """Range of the time for which a random script holds each stick position, uniform [s]."""
 
@@ -45,10 +49,10 @@ def read_script(path: Path) -> Script:
     """Read a CSV file with the columns `time_s`, `forward`, `left` and `heading_rad`.
 
     `forward` and `left` are -1 to 1. `heading_rad` is the heading in the world to which forward refers, empty for the
-    robot's own. The last row ends the drive.
+    robot's own, within one turn either way. The last row ends the drive.
 
     Raises:
-        ArriveError: the file or a column is missing, a value is not a number, or times are not ascending.
+        ArriveError: the file or a column is missing, a value is no number or out of range, or times are not ascending.
     """
     text = read_text(path)
     try:
@@ -59,7 +63,9 @@ def read_script(path: Path) -> Script:
     if columns != COLUMNS:
         raise ArriveError(f"{path} must begin with the line {','.join(COLUMNS)}, not {','.join(columns)!r}")
     if not rows:
-        raise ArriveError(f"{path} has no stick positions: write one line per change, such as 0,1,0,")
+        raise ArriveError(
+            f"{path} has no stick positions: write a line per change, such as 0,1,0, and for the end 5,0,0,"
+        )
     times: list[float] = []
     sticks: list[Joystick] = []
     for number, row in enumerate(rows, start=2):
@@ -67,6 +73,13 @@ def read_script(path: Path) -> Script:
         heading = _number(path, number, row["heading_rad"]) if row["heading_rad"] else None
         if values[0] < (times[-1] if times else 0.0):
             raise ArriveError(f"{path}, line {number}: time goes back to {values[0]:g} s")
+        for name, value in zip(COLUMNS[1:3], values[1:], strict=True):
+            if not STICK.holds(value):
+                raise ArriveError(f"{path}, line {number}: {name} is a stick position of -1 to 1, not {value:g}")
+        if heading is not None and not HEADING.holds(heading):
+            raise ArriveError(
+                f"{path}, line {number}: heading_rad is -6.28 to 6.28 rad, not {heading:g}; is it in degrees?"
+            )
         times.append(values[0])
         sticks.append(Joystick(values[1], values[2], heading))
     return Script(tuple(times), tuple(sticks))
