@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -122,6 +123,55 @@ def test_an_incomplete_command_is_a_usage_error(capsys, arguments):
         cli.main(arguments)
     assert stopped.value.code == 2
     assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("trian flat", "unknown command 'trian'. Did you mean 'train'? Valid: actuator, bench, drive"),
+        (
+            "actuator fitt log.npz",
+            "unknown actuator command 'fitt'. Did you mean 'fit'? Valid: fit, import, record, show",
+        ),
+        ("xyz", "unknown command 'xyz'. Valid: actuator, bench"),
+    ],
+)
+def test_a_misspelt_command_is_one_line_with_a_suggestion(capsys, words, said):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(words.split())
+    err = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert err.startswith(f"arrive: {said}")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("eval gap --episodes 0.5", "'0.5' is not a whole number such as 8"),
+        ("train flat --seed many", "'many' is not a whole number such as 8"),
+        ("eval gap --value 1,5", "'1,5' is not a number such as 0.5"),
+    ],
+)
+def test_what_is_no_number_is_told_in_plain_words(capsys, words, said):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(words.split())
+    err = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert stopped.value.code == 2
+    assert said in err
+    assert not re.search("int\\(|float:|literal", err)
+
+
+def test_a_missing_log_is_told_before_torch_is_loaded():
+    program = """
+import contextlib, sys
+from arrive import cli
+with contextlib.suppress(SystemExit):
+    cli.main(["actuator", "fit", "nothing.csv"])
+assert "torch" not in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "arrive: cannot read nothing.csv: No such file or directory\n")
 
 
 def test_an_out_folder_that_cannot_be_written_is_named(refused, tmp_path):
@@ -253,7 +303,7 @@ def test_help_names_the_commands(capsys, arguments):
         cli.main(arguments)
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    assert all(command in text for command in ("train", "eval", "list"))
+    assert all(word in text for word in ("train", "eval", "list", "--version", "--debug", "--import"))
 
 
 @pytest.mark.parametrize("command", [["list", "config"], ["train", "--help"], ["bench", "--help"]], ids=" ".join)

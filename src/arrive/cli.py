@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from arrive import __version__
-from arrive.commands.actuator import Actuator
+from arrive.commands.actuator import Action, Actuator
 from arrive.commands.known import known
 from arrive.commands.limits import check_limits, check_outputs
 from arrive.commands.options import (
@@ -26,6 +26,7 @@ from arrive.commands.options import (
     Train,
     Verify,
 )
+from arrive.commands.parsing import NUMBERS, unknown_command
 from arrive.errors import ArriveError, Interrupted, shown
 from arrive.neighbours import wait_considerately
 from arrive.plugins import blamed, import_module, import_packages
@@ -35,13 +36,17 @@ DEBUG = "--debug"
 """Option of every command: show tracebacks."""
 IMPORT = "--import"
 """Option of every command: import a module that registers robots, terrains or other parts."""
+VERSION = "--version"
+USAGE = 2
+"""Exit status after a command line that cannot be read, as tyro's."""
 GRAPHICS = ("egl", "osmesa", "glfw", "glx", "disable")
 """Values of MUJOCO_GL to suggest."""
 ALSO_GRAPHICS = ("", "enable", "enabled", "on", "true", "1", "disabled", "off", "false", "0", "wgl", "cgl")
 """Other values that MuJoCo takes."""
 DESCRIPTION = (
     "Train, measure and run policies that bring a legged robot to a target by a given time. `arrive COMMAND --help` "
-    f"explains a command. {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more."
+    f"explains a command. {DEBUG} shows tracebacks. {IMPORT} FILE.py adds your own robots, terrains and more. "
+    f"{VERSION} prints the version."
 )
 
 AnyCommand = (
@@ -74,13 +79,17 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = DEBUG in arguments
     words = [word for word in arguments if word != DEBUG]
-    if words == ["--version"]:
+    if words == [VERSION]:
         print(f"arrive {__version__}")
         return
     imports, words = _imports(words)
     words = words or ["--help"]
+    if error := unknown_command(words, AnyCommand) or _unknown_action(words):
+        print(f"arrive: {shown(str(error))}", file=sys.stderr)
+        sys.exit(USAGE)
     try:
-        command = tyro.cli(AnyCommand, prog="arrive", description=DESCRIPTION, args=words)
+        with NUMBERS:
+            command = tyro.cli(AnyCommand, prog="arrive", description=DESCRIPTION, args=words)
     except SystemExit as stop:
         if not stop.code and words[0] in SETTABLE:
             _show_fields()
@@ -99,6 +108,11 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print(f"arrive: {shown(_one_line(error))}", file=sys.stderr)
         sys.exit(INTERRUPTED if isinstance(error, Interrupted | KeyboardInterrupt) else 1)
+
+
+def _unknown_action(words: list[str]) -> ArriveError | None:
+    """The error for a subcommand that there is not; otherwise None."""
+    return unknown_command(words[1:], Action, words[0]) if words[0] == "actuator" else None
 
 
 def _show_fields() -> None:

@@ -13,6 +13,7 @@ import tyro
 from arrive.commands.limits import COUNT, FITTED, INDEX, NETWORK, PICTURE, POSITIVE, SEED, Suffix
 from arrive.errors import ArriveError
 from arrive.fields import Range
+from arrive.files import check_readable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -178,6 +179,10 @@ def _write_csv(path: Path, log: dict[str, np.ndarray]) -> None:
 
 def fit(options: Fit) -> None:
     """Train a network, write it, and print and plot its errors."""
+    if not options.logs:
+        raise ArriveError("name at least one log; `arrive actuator record` records one from a simulated drive")
+    for log in options.logs:  # before torch is loaded, which takes seconds
+        check_readable(log)
     from rich.progress import Progress, TextColumn
 
     from arrive.actuation import fit as fitting
@@ -186,8 +191,6 @@ def fit(options: Fit) -> None:
     from arrive.actuation.pictures import draw_fit
     from arrive.commands.threads import use_threads
 
-    if not options.logs:
-        raise ArriveError("name at least one log; `arrive actuator record` records one from a simulated drive")
     use_threads(options.threads)
     trajectories = read_logs(options.logs, options.period_s)
     names = ("architecture", "units", "taps_s", "epochs", "patience", "learning_rate", "seed")
@@ -220,14 +223,14 @@ def _print_errors(result: fitting.FitResult, trajectories: int) -> None:
 
 def show(options: Show) -> None:
     """Plot networks and the PD motor."""
+    if not options.files:
+        raise ArriveError("name at least one network; `arrive actuator fit` trains one")
     from arrive.actuation.network_file import read_network
     from arrive.actuation.pictures import draw_responses
     from arrive.actuation.responses import network_drive, pd_drive
     from arrive.physics import PhysicsConfig
     from arrive.robots import get_robot
 
-    if not options.files:
-        raise ArriveError("name at least one network; `arrive actuator fit` trains one")
     motor = get_robot(options.robot).motor_of(options.joint)
     networks = {path: read_network(path) for path in options.files}
     drives = [network_drive(path.stem, network, options.clip) for path, network in networks.items()]
