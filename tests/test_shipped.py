@@ -11,6 +11,8 @@ from arrive.config import saved_config, to_dict
 from arrive.learning.policy import load_policy
 from arrive.policies import SHIPPED, shipped_names
 from arrive.recipe import make_config
+from arrive.report.card import card_text
+from arrive.report.records import read_run
 from arrive.terrain import parse_families
 
 ROOT = Path(__file__).parents[1]
@@ -47,6 +49,14 @@ def test_a_policy_and_its_results_name_the_commit_of_its_record(name):
     assert load_policy(SHIPPED / name).commit == commit
     results = [path for path in (SHIPPED / name).glob("*.json") if path.name in ("difficulty.json", "reach.json")]
     assert [json.loads(path.read_text())["policy"]["commit"] for path in results] == [commit] * len(results)
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_a_policys_card_says_what_its_results_say(name):
+    run = read_run(SHIPPED / name)
+    card = SHIPPED / name / "card.md"
+    assert card.exists() == (run.difficulty is not None or run.reach is not None)
+    assert not card.exists() or card.read_text() == card_text(run, with_curves=True)
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="not a git checkout")

@@ -16,6 +16,7 @@ from arrive.policies.solved import amounts, solved_beside
 from arrive.results.read import check_result
 from arrive.robots import ROBOTS
 from arrive.terrain import FAMILIES, Family
+from arrive.terrain.ground import varies
 
 if TYPE_CHECKING:
     from arrive.commands.options import List
@@ -65,12 +66,15 @@ def _ability(policy: str) -> str:
     if not (SHIPPED / policy / DIFFICULTY_NAME).is_file():
         return f"not evaluated; {trained}"
     try:
-        solved = amounts(solved_beside(SHIPPED / policy))
+        solved = solved_beside(SHIPPED / policy)
     except ArriveError as error:
         return f"{error} {trained}"
     return f"solves {_up_to(solved)}; {trained}"
 
 
-def _up_to(solved: list[str]) -> str:
-    """Solved values with the rule by which they count; see `max_at` in evaluation/difficulty.py."""
-    return f"{', '.join(solved)} and everything easier in 95 % of the episodes" if solved else "nothing in 95 %"
+def _up_to(solved: dict[str, float]) -> str:
+    """Solved terrains with the rule by which they count; see `max_at` in evaluation/difficulty.py."""
+    values = amounts(solved)
+    listed = [*(name for name in solved if not varies(FAMILIES[name])), *values]
+    easier = " and everything easier" if values else ""
+    return f"{', '.join(listed) or 'no terrain'}{easier} in 95 % of the episodes"

@@ -13,6 +13,8 @@ from arrive.policies import CURVES_NAME
 from arrive.report.reach import direction_table, distance_table, ground_words, protocol_words, waiting_words
 from arrive.report.records import DIFFICULTY_PICTURES, Run
 from arrive.report.text import code_block, inline_code, markdown
+from arrive.terrain import get_family
+from arrive.terrain.ground import Ground
 
 CARD_NAME = "card.md"
 
@@ -87,8 +89,13 @@ def _solved(run: Run) -> str:
     rows = []
     for name, entry in run.families.items():
         limits = [entry[f"max_at_{share * 100:.0f}"] for share in SHARES]
-        rows.append([name, *("-" if limit is None else f"{limit:g} {entry['unit']}" for limit in limits)])
+        rows.append([name, *("-" if limit is None else _amount(name, limit) for limit in limits)])
     return _table(head, rows)
+
+
+def _amount(name: str, value: float) -> str:
+    """A terrain's value with its unit; "yes" for a terrain without a parameter."""
+    return Ground(get_family(name), value).amount or "yes"
 
 
 def _family(run: Run, name: str, results: Sequence[CellResult]) -> str:
