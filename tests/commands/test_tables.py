@@ -24,7 +24,7 @@ def printed(capsys, monkeypatch):
 
 def test_a_gait_in_80_columns(printed):
     _, head, trot, none = printed(print_gait, small_results.gait()["policies"][0])
-    assert head == "asked gait m/s Hz stride [m] duty LF RH [%] travel fell"
+    assert head == "given gait m/s Hz stride [m] duty LF RH [%] travel fell"
     assert trot == "1 trot 1.00±0.10 2.00±0.10 0.50±0.10 0.50 0 50 +1° 0"
     assert none == "1 +90° does not walk 50"
 

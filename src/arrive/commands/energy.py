@@ -97,7 +97,7 @@ def print_energy(content: dict[str, Any]) -> None:
     robots = content["speeds"][0]["robots"]
     title = f"{content['name']} ({content['task']}), {robots} robots a speed"
     table = narrow_table(
-        title, ("asked", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood")
+        title, ("given", "m/s", "Στ² [N²m²s/m]", "W+ [J/m]", "|W| [J/m]", "CoT", "time [s]", "fell", "stood")
     )
     for row in content["speeds"]:
         figures = ("speed", "torque_sq", "positive_work", "absolute_work", "cost_of_transport", "time_s")

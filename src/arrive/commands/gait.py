@@ -60,7 +60,7 @@ def print_gait(content: dict[str, Any]) -> None:
     """Print the gaits of one policy as a table; phases are shares of a stride."""
     feet = content["feet"]
     phases = f"{' '.join(feet)} [%]"
-    columns = ("asked", "gait", "m/s", "Hz", "stride [m]", "duty", phases, "travel", "fell")
+    columns = ("given", "gait", "m/s", "Hz", "stride [m]", "duty", phases, "travel", "fell")
     table = narrow_table(f"{content['name']} ({content['task']})", columns)
     for row in content["gaits"]:
         direction = f" {row['direction_deg']:+g}°" if row["direction_deg"] else ""
