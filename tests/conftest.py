@@ -20,6 +20,14 @@ def exported(tmp_path_factory) -> Path:
     return file
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _hear_interrupts() -> Iterator[None]:
+    """A job in the background ignores Ctrl-C, and so would the programs that tests start."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture
 def hears_hangups() -> Iterator[None]:
     """For a test that closes a terminal: under `nohup`, hangups would be ignored."""

@@ -39,7 +39,10 @@ def end(process) -> tuple[int, str]:
     by the signal then counts as done.
     """
     process.send_signal(signal.SIGINT)
-    out, err = (text.decode() for text in process.communicate(timeout=PATIENCE_S))
+    try:
+        out, err = (text.decode() for text in process.communicate(timeout=PATIENCE_S))
+    finally:
+        process.kill()  # a training that did not hear it would go on for days
     assert "Traceback" not in out + err, err
     assert "KeyboardInterrupt" not in out + err, err
     assert "Exception ignored" not in out + err, err
