@@ -20,6 +20,7 @@ from arrive.errors import ArriveError
 from arrive.learning.policy import LOG_STD, load_policy
 from arrive.learning.trainer import Budget, Trainer
 from arrive.presets import get_preset
+from arrive.startup import INTERRUPTED
 from arrive.task.final import FinalPositionTask
 from arrive.terrain import FAMILIES
 from training_runs import (
@@ -149,7 +150,7 @@ def test_ctrl_c_saves_and_ends_cleanly(tmp_path):
         output, _ = process.communicate(timeout=240)
     finally:
         process.kill()
-    assert process.returncode == 0, output
+    assert process.returncode == INTERRUPTED, output
     assert "Traceback" not in output
     assert f"run: {folder}" in output
     assert f"arrive train flat,pit --resume {folder} --iterations 100000" in output

@@ -658,7 +658,8 @@ def test_all_names_of_a_policy_give_the_same_policy(tmp_path, exported):
 
 
 def test_results_of_a_policy_go_to_its_own_folder(exported):
-    assert (load_policy(RUN / "policy.pt").folder, load_policy(RUN).name) == (RUN, "joystick")
+    shipped = load_policy(RUN / "policy.pt")
+    assert (shipped.folder, shipped.name) == (Path("runs/shipped/joystick"), "joystick")
     assert read_policy(exported).folder == exported.with_suffix("")
     assert policies.results_folder(policies.SHIPPED / "gap" / "policy.pt") == Path("runs/shipped/gap"), (
         "not into the package"
