@@ -14,16 +14,16 @@ far and is enough to continue from; `arrive report --stability` shows it.
 
 import statistics
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
 import tyro
-from trainings import LAST_SHARE, Training, command, earlier_runs, markdown
+from trainings import LAST_SHARE, Results, Training, command, markdown
 
 from arrive.config import Config, override
-from arrive.files import write_json
 from arrive.learning.rundir import commit
 from arrive.presets import get_preset
 
@@ -84,22 +84,22 @@ def main(arguments: Arguments) -> None:
     """Train and measure the missing runs, one after the other, and print the table."""
     torch.set_num_threads(1)
     choices = variants(override(get_preset(arguments.preset), arguments.set))
-    path = arguments.out / "stability.json"
-
-    def so_far() -> list[dict[str, Any]]:
-        return earlier_runs(path, content(arguments, choices, [])["protocol"], ("grounds", "seeds", "goal"))
-
+    results = Results(
+        arguments.out / "stability.json",
+        partial(content, arguments, choices),
+        names=("seed", "ground", "variant"),
+        extended=("grounds", "seeds", "goal"),
+    )
     # Seeds in the outer loop, so that an interrupted benchmark has complete comparisons.
-    for seed, ground, name in product(arguments.seeds, arguments.grounds, choices):
-        if (seed, ground, name) not in [(run["seed"], run["ground"], run["variant"]) for run in so_far()]:
-            run = run_of(arguments, choices[name], name, ground, seed)
-            write_json(path, content(arguments, choices, [*so_far(), run]))
-            print(f"{ground}, {name}, seed {seed}: {run['success']:.1%}", flush=True)
-    print(table(arguments, choices, so_far()))
+    wanted = product(arguments.seeds, arguments.grounds, choices)
+    for run in results.complete(wanted, partial(run_of, arguments, choices)):
+        print(f"{run['ground']}, {run['variant']}, seed {run['seed']}: {run['success']:.1%}", flush=True)
+    print(table(arguments, choices, results.runs()))
 
 
-def run_of(arguments: Arguments, variant: Variant, name: str, ground: str, seed: int) -> dict[str, Any]:
+def run_of(arguments: Arguments, choices: dict[str, Variant], seed: int, ground: str, name: str) -> dict[str, Any]:
     """Train and measure one run."""
+    variant = choices[name]
     folder = arguments.out / f"{ground} {name} {seed}".replace(" ", "-").replace("=", "-")
     settings = (*arguments.set, *variant.settings)
     training = Training(
@@ -121,7 +121,7 @@ def content(arguments: Arguments, choices: dict, runs: list[dict[str, Any]]) -> 
             "preset": arguments.preset,
             "samples": arguments.samples,
             "goal": arguments.goal,
-            "grounds": list(dict.fromkeys([run["ground"] for run in runs])),
+            "grounds": list(dict.fromkeys(run["ground"] for run in runs)),
             "seeds": sorted({run["seed"] for run in runs}),
             "episodes": arguments.episodes,
             "set": list(arguments.set),

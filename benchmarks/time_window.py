@@ -10,17 +10,17 @@ results so far and is enough to continue from; `arrive report --window` shows it
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
 import tyro
-from trainings import Training, command, earlier_runs, markdown
+from trainings import Results, Training, command, markdown
 
 from arrive.config import override
 from arrive.evaluation.energy import measure_energy
-from arrive.files import write_json
 from arrive.learning.rundir import commit
 from arrive.presets import get_preset
 
@@ -57,21 +57,18 @@ def main(arguments: Arguments) -> None:
     windows = arguments.windows or (*(w for w in (0.5, 1.0, 2.0, 4.0) if w < episode_s), episode_s)
     if max(windows) > episode_s:
         raise SystemExit(f"--windows must be at most the episode of {episode_s:g} s, not {max(windows):g}")
-    path = arguments.out / "time_window.json"
-
-    def so_far() -> list[dict[str, Any]]:
-        return earlier_runs(path, content(arguments, episode_s, [])["protocol"], ("seeds",))
-
-    for seed, window in product(arguments.seeds, windows):
-        if (seed, window) not in [(run["seed"], run["window_s"]) for run in so_far()]:
-            run = run_of(arguments, episode_s, window, seed)
-            runs = sorted([*so_far(), run], key=lambda one: (one["seed"], one["window_s"]))
-            write_json(path, content(arguments, episode_s, runs))
-            print(f"T_r {window:g} s, seed {seed}: {run['success']:.1%}", flush=True)
-    print(table(so_far()))
+    results = Results(
+        arguments.out / "time_window.json",
+        partial(content, arguments, episode_s),
+        names=("seed", "window_s"),
+        extended=("seeds",),
+    )
+    for run in results.complete(product(arguments.seeds, windows), partial(run_of, arguments, episode_s)):
+        print(f"T_r {run['window_s']:g} s, seed {run['seed']}: {run['success']:.1%}", flush=True)
+    print(table(results.runs()))
 
 
-def run_of(arguments: Arguments, episode_s: float, window: float, seed: int) -> dict[str, Any]:
+def run_of(arguments: Arguments, episode_s: float, seed: int, window: float) -> dict[str, Any]:
     """Train and measure one run. Times and paths are quartiles, or None if no robot arrived."""
     folder = arguments.out / f"{arguments.ground}-{window:g}-{seed}".replace("=", "-")
     settings = (*arguments.set, f"task.episode_min_s={episode_s}", f"task.reward_window_s={window}")
@@ -89,7 +86,7 @@ def run_of(arguments: Arguments, episode_s: float, window: float, seed: int) -> 
 def content(arguments: Arguments, episode_s: float, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """All results so far as JSON data."""
     return {
-        "runs": runs,
+        "runs": sorted(runs, key=lambda run: (run["seed"], run["window_s"])),
         "protocol": {
             "name": "time_window",
             "preset": arguments.preset,

@@ -1,6 +1,6 @@
 """Shared by the benchmarks: trainings that can be continued, `arrive bench`, and tables.
 
-`stability.py` and `time_window.py` use `Training`, `from_scratch.py` the command line and tables, `scaling.py` and
+`stability.py` and `time_window.py` use `Training` and `Results`, `from_scratch.py` the command line and tables, `scaling.py` and
 `busy.py` the throughput.
 """
 
@@ -8,14 +8,14 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from arrive.evaluation import difficulty
 from arrive.evaluation.arrival import choose_cells
-from arrive.files import read_json
+from arrive.files import read_json, write_json
 from arrive.learning.checkpoint import CHECKPOINT_NAME
 from arrive.learning.logs import read_log
 from arrive.learning.policy import Policy, load_policy
@@ -90,25 +90,51 @@ class Training:
         }
 
 
-def earlier_runs(path: Path, protocol: dict[str, Any], extended: Sequence[str]) -> list[dict[str, Any]]:
-    """The runs in a result that the same benchmark wrote before; none if there is no such file.
+Content = Callable[[list[dict[str, Any]]], dict[str, Any]]
+"""Makes a benchmark's result as JSON data from its runs."""
 
-    Args:
-        protocol: of the benchmark now.
-        extended: entries of the protocol that may differ, because they only say which runs there are.
 
-    Raises:
-        SystemExit: the file's runs were trained or measured in another way.
-    """
-    if not path.is_file():
-        return []
-    known = read_json(path)
-    before = {name: known["protocol"].get(name) for name in protocol}
-    changed = [name for name in protocol if name not in extended and protocol[name] != before[name]]
-    if changed:
-        differences = ", ".join(f"{name} {before[name]} instead of {protocol[name]}" for name in changed)
-        raise SystemExit(f"{path} has runs with {differences}; choose another folder with --out")
-    return known["runs"]
+@dataclass(frozen=True)
+class Results:
+    """A result file to which runs are added. It alone says which runs are done."""
+
+    path: Path
+    content: Content
+    names: tuple[str, ...]
+    """Entries of a run that tell it from the others."""
+    extended: tuple[str, ...]
+    """Entries of the protocol that may differ from the file's, because they only say which runs there are."""
+
+    def runs(self) -> list[dict[str, Any]]:
+        """The runs so far; none if there is no such file.
+
+        Raises:
+            SystemExit: the file's runs were trained or measured in another way.
+        """
+        if not self.path.is_file():
+            return []
+        known, protocol = read_json(self.path), self.content([])["protocol"]
+        before = {name: known["protocol"].get(name) for name in protocol}
+        changed = [name for name in protocol if name not in self.extended and protocol[name] != before[name]]
+        if changed:
+            differences = ", ".join(f"{name} {before[name]} instead of {protocol[name]}" for name in changed)
+            raise SystemExit(f"{self.path} has runs with {differences}; choose another folder with --out")
+        return known["runs"]
+
+    def complete(
+        self, wanted: Iterable[tuple[Any, ...]], make: Callable[..., dict[str, Any]]
+    ) -> Iterator[dict[str, Any]]:
+        """Make the runs that are missing, one after the other, and yield each when it is in the file.
+
+        Args:
+            wanted: the values of `names` of each run.
+            make: trains and measures a run, from its values.
+        """
+        for key in wanted:
+            if key not in [tuple(run[name] for name in self.names) for run in self.runs()]:
+                run = make(*key)
+                write_json(self.path, self.content([*self.runs(), run]))
+                yield run
 
 
 def arrive(*arguments: str) -> None:
