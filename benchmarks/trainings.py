@@ -1,7 +1,7 @@
 """Shared by the benchmarks: trainings that can be continued, `arrive bench`, and tables.
 
-`stability.py` and `time_window.py` use `Training` and `Results`, `from_scratch.py` the command line and tables, `scaling.py` and
-`busy.py` the throughput.
+`stability.py` and `time_window.py` use `Training` and `Results`, `from_scratch.py` the command line and tables,
+`scaling.py` and `busy.py` the throughput.
 """
 
 import shlex
