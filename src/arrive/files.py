@@ -29,15 +29,11 @@ def whole(path: Path) -> Iterator[Path]:
     """
     try:
         path = Path(os.path.realpath(path))
-        if path.exists() and not path.is_file():
-            if path.is_dir():
-                raise IsADirectoryError("it is a folder")
+        if _written_directly(path):
             yield path
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=f"{TEMPORARY}{path.suffix}")
-        os.close(handle)
-        temporary = Path(name)
+        temporary = _make_temporary(path, path.parent)
         try:
             yield temporary
             _finish(temporary, path)
@@ -46,6 +42,20 @@ def whole(path: Path) -> Iterator[Path]:
             raise
     except OSError as error:
         raise cannot_write(path, error) from error
+
+
+def _written_directly(path: Path) -> bool:
+    """Whether a path is something else than a regular file, like /dev/stdout. A folder raises an OSError."""
+    if path.is_dir():
+        raise IsADirectoryError("it is a folder")
+    return path.exists() and not path.is_file()
+
+
+def _make_temporary(path: Path, folder: Path) -> Path:
+    """Create the temporary file for `path` in a folder."""
+    handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.", suffix=f"{TEMPORARY}{path.suffix}")
+    os.close(handle)
+    return Path(name)
 
 
 def _finish(temporary: Path, path: Path) -> None:
@@ -64,13 +74,8 @@ def check_writable(path: Path) -> None:
     """
     try:
         path = Path(os.path.realpath(path))
-        if path.is_dir():
-            raise IsADirectoryError("it is a folder")
-        if path.exists() and not path.is_file():
-            return
-        folder = next(parent for parent in path.parents if parent.exists())
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{path.name}.", suffix=f"{TEMPORARY}{path.suffix}"):
-            pass
+        if not _written_directly(path):
+            _make_temporary(path, next(parent for parent in path.parents if parent.exists())).unlink()
     except OSError as error:
         raise cannot_write(path, error) from error
     except ValueError as error:
