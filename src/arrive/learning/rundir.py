@@ -158,14 +158,19 @@ def write_config(folder: Path, config: Config, before: int = 0) -> None:
     write_json(folder / CONFIG_NAME, content)
 
 
+def _record(folder: Path) -> dict[str, Any]:
+    """A run's record as it is in the file; empty if the folder has none."""
+    path = folder / CONFIG_NAME
+    return read_json(path) if path.is_file() else {}
+
+
 def require_imports(folder: Path) -> None:
     """Check that the plugin modules recorded in a run folder are imported.
 
     Raises:
         ArriveError: one is not imported; the message says how to import it.
     """
-    path = folder / CONFIG_NAME
-    modules = read_json(path).get("imports", {}) if path.is_file() else {}
+    modules = _record(folder).get("imports", {})
     if isinstance(modules, dict):
         require({str(name): str(source) for name, source in modules.items()}, folder)
 
@@ -202,8 +207,7 @@ def read_config(folder: Path) -> tuple[Config, dict[str, Any]]:
 
 def recorded_commit(folder: Path) -> str | None:
     """The commit in a run's record, or None without a record that has one."""
-    path = folder / CONFIG_NAME
-    commit = read_json(path).get("commit") if path.is_file() else None
+    commit = _record(folder).get("commit")
     return commit if isinstance(commit, str) else None
 
 
